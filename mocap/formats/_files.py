@@ -1,0 +1,35 @@
+"""Writing files so that an interruption never leaves half of one."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+
+@contextmanager
+def write_aside(path: str | Path) -> Iterator[Path]:
+    """Yield a temporary path beside `path`; on success it replaces `path`, otherwise it is deleted.
+
+    The temporary file lies in the same folder (so that the replacement is atomic) and has the same
+    suffix (numpy appends one to names that lack it). The folder is made if it does not exist. Any
+    exception, KeyboardInterrupt included, deletes the temporary file and leaves `path` as it was.
+    Raises OSError where the folder cannot be written.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
+    os.close(handle)
+    aside = Path(name)
+    try:
+        # mkstemp makes the file private; what the user asked for has the usual permissions.
+        mask = os.umask(0)
+        os.umask(mask)
+        aside.chmod(0o666 & ~mask)
+        yield aside
+        aside.replace(path)
+    except BaseException:
+        aside.unlink(missing_ok=True)
+        raise
