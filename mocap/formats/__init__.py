@@ -1,0 +1,128 @@
+"""Files in and out: one module a format, found by suffix and content.
+
+A format module defines `FORMAT = Format(...)`. Other packages add theirs through the entry-point group
+`poser.formats` (an object of type `Format`), so that a format whose reader needs torch lives where torch
+is imported.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Literal
+
+from mocap.errors import FormatError, PoserError
+from mocap.motion import Motion
+from mocap.recording import RawRecording, Recording
+
+Content = Motion | RawRecording | Recording
+Kind = Literal["motion", "recording", "raw"]
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a user may tell a reader that the file does not say.
+
+    height: the body's stature in m. scale: m per length unit of the file. rate_hz: where the file names
+    none. units: "g" or "m/s^2" for accelerations, and "deg/s" or "rad/s" for rates, in a set. smpl: the user's SMPL body file.
+    mapping: sensor names of the file to places of the table, or a file that holds them (by format).
+    """
+
+    height: float | None = None
+    scale: float | None = None
+    rate_hz: float | None = None
+    units: frozenset[str] = frozenset()
+    smpl: Path | None = None
+    mapping: dict[str, str] | Path | None = None
+
+
+@dataclass(frozen=True)
+class Document:
+    """A file's content, and what the reader assumed or doubts. kind is given by the content's type."""
+
+    format: str
+    content: Content
+    assumptions: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def kind(self) -> Kind:
+        if isinstance(self.content, Motion):
+            return "motion"
+        return "raw" if isinstance(self.content, RawRecording) else "recording"
+
+
+@dataclass(frozen=True)
+class Format:
+    """One file format.
+
+    suffixes: lower case with the dot. sniff(path, head): whether the first 4 KiB (or the folder, with
+    empty head) look like it. read(path, options) -> Document. write(path, content): None if read-only.
+    """
+
+    name: str
+    suffixes: tuple[str, ...]
+    sniff: Callable[[Path, bytes], bool]
+    read: Callable[[Path, Options], Document]
+    write: Callable[[Path, Content], None] | None = None
+
+
+# In the order of trial: the first whose suffix and sniff both fit reads the file.
+_MODULES = (
+    "native", "amass", "bvh", "asfamc", "dip", "totalcapture", "qmt", "opensense", "xsens_mtw", "mvnx",
+    "csv",
+)  # fmt: skip
+
+
+def registry() -> Iterator[Format]:
+    """All formats, those of this package first, then those that entry points add."""
+    for module in _MODULES:
+        yield importlib.import_module(f"mocap.formats.{module}").FORMAT
+    for point in entry_points(group="poser.formats"):
+        try:
+            yield point.load()
+        except ImportError:
+            # The plug-in's own dependency (torch) is not installed: its files are unknown here, and
+            # `detect` says which plug-in would read them.
+            continue
+
+
+def detect(path: Path) -> Format:
+    """The format of a file or folder; raises FormatError where none fits."""
+    if not path.exists():
+        raise FormatError(path, "no such file")
+    head = b""
+    if path.is_file():
+        with path.open("rb") as f:
+            head = f.read(4096)
+        if not head:
+            raise FormatError(path, "the file is empty")
+    suffix = path.suffix.lower()
+    tried = [f for f in registry() if suffix in f.suffixes]
+    for fmt in tried:
+        if fmt.sniff(path, head):
+            return fmt
+    if tried:
+        names = " or ".join(dict.fromkeys(f.name for f in tried))
+        raise FormatError(path, f"not a readable {names} file: its first bytes do not fit")
+    known = sorted({s for f in registry() for s in f.suffixes})
+    raise FormatError(path, f"suffix {suffix or '(none)'!r} unknown; known: {' '.join(known)}")
+
+
+def read(path: str | Path, options: Options | None = None) -> Document:
+    """Read a file of any known format. Raises FormatError (one sentence naming file and place)."""
+    path = Path(path)
+    fmt = detect(path)
+    try:
+        return fmt.read(path, options or Options())
+    except FormatError:
+        raise
+    except PoserError as e:
+        raise FormatError(path, str(e)) from e
+    except MemoryError as e:
+        raise FormatError(path, "too large for this machine's memory") from e
+    except OSError as e:
+        raise FormatError(path, e.strerror or str(e)) from e

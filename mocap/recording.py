@@ -1,0 +1,277 @@
+"""What sensors measured: raw (own frames, gravity in) and calibrated (bones in the world, gravity out)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap import orientation as ori
+from mocap import sensors as places
+from mocap.errors import SensorError, ShapeError
+from mocap.motion import Motion, check_rate
+from mocap.orientation import Array
+
+Bool = NDArray[np.bool_]
+
+
+def _names(names: tuple[str, ...], what: str) -> tuple[str, ...]:
+    names = tuple(str(n) for n in names)
+    if not names:
+        raise SensorError(f"{what}: no sensor")
+    if len(set(names)) != len(names):
+        raise SensorError(f"{what}: sensor names are not unique: {', '.join(names)}")
+    return names
+
+
+def _array(x: Any, shape: tuple[int, ...], what: str) -> Array:
+    x = np.array(x, float)
+    if x.shape != shape:
+        raise ShapeError(f"{what} must be {shape}, got {x.shape}")
+    return x
+
+
+def gaps(valid: Bool) -> list[dict[str, Any]]:
+    """Runs of invalid samples: [{"sensor": s, "start": frame, "frames": n}, ...], by sensor."""
+    found = []
+    for s in range(valid.shape[1]):
+        edges = np.flatnonzero(np.diff(np.r_[False, ~valid[:, s], False]))
+        for a, b in edges.reshape(-1, 2):
+            found.append({"sensor": s, "start": int(a), "frames": int(b - a)})
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class RawRecording:
+    """T samples of S sensors in their own frames.
+
+    gyr (T,S,3) rad/s; acc (T,S,3) m/s^2 with gravity (specific force: a still, upright sensor reads
+    +9.81 on its up axis); mag (T,S,3) in any unit, or None; R_world_sensor (T,S,3,3) in a y-up world,
+    or None; valid (T,S). `segments_aligned`: R_world_sensor already is the segment's orientation up
+    to a constant (files that carry a vendor's segment quaternions). reference: a known motion, frame
+    for frame, if any. truth: what was synthesised (JSON-like), if anything.
+    """
+
+    rate_hz: float
+    sensors: tuple[str, ...]
+    gyr: Array
+    acc: Array
+    mag: Array | None = None
+    R_world_sensor: Array | None = None
+    valid: Bool | None = None  # type: ignore[assignment]
+    reference: Motion | None = None
+    truth: dict[str, Any] | None = None
+    start_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        names = _names(self.sensors, "RawRecording")
+        acc = np.asarray(self.acc, float)
+        T, S = (acc.shape[0] if acc.ndim == 3 else 0), len(names)
+        if T == 0:
+            raise ShapeError(f"RawRecording: acc must be (T,{S},3), T > 0, got {acc.shape}")
+        put = object.__setattr__
+        put(self, "rate_hz", check_rate(self.rate_hz, "RawRecording"))
+        put(self, "sensors", names)
+        put(self, "acc", _array(self.acc, (T, S, 3), "RawRecording: acc"))
+        put(self, "gyr", _array(self.gyr, (T, S, 3), "RawRecording: gyr"))
+        finite = np.isfinite(self.acc).all(-1) & np.isfinite(self.gyr).all(-1)
+        if self.mag is not None:
+            put(self, "mag", _array(self.mag, (T, S, 3), "RawRecording: mag"))
+        if self.R_world_sensor is not None:
+            R = _array(self.R_world_sensor, (T, S, 3, 3), "RawRecording: R_world_sensor")
+            has = np.isfinite(R).all((-1, -2))
+            bad = has & ~ori.is_rotation(R)
+            if bad.any():
+                t, s = np.argwhere(bad)[0]
+                raise ShapeError(
+                    f"RawRecording: frame {t}, sensor {names[s]}: R_world_sensor is not a rotation "
+                    f"(orthonormal, right-handed)"
+                )
+            put(self, "R_world_sensor", R)
+        valid = np.ones((T, S), bool) if self.valid is None else np.array(self.valid, bool)
+        if valid.shape != (T, S):
+            raise ShapeError(f"RawRecording: valid must be {(T, S)}, got {valid.shape}")
+        put(self, "valid", valid & finite)
+        if self.reference is not None and len(self.reference) != T:
+            raise ShapeError(f"RawRecording: reference has {len(self.reference)} frames, not {T}")
+
+    def __len__(self) -> int:
+        return len(self.acc)
+
+    @property
+    def seconds(self) -> float:
+        return len(self) / self.rate_hz
+
+    def select(self, names: tuple[str, ...]) -> RawRecording:
+        """The same recording of these sensors, in this order."""
+        idx = _indices(self.sensors, names)
+        return replace(
+            self,
+            sensors=tuple(names),
+            gyr=self.gyr[:, idx],
+            acc=self.acc[:, idx],
+            mag=None if self.mag is None else self.mag[:, idx],
+            R_world_sensor=None if self.R_world_sensor is None else self.R_world_sensor[:, idx],
+            valid=self.valid[:, idx],
+        )
+
+    def renamed(self, mapping: dict[str, str]) -> RawRecording:
+        """Sensors renamed by `mapping` (names that are not in it stay)."""
+        return replace(self, sensors=tuple(mapping.get(n, n) for n in self.sensors))
+
+    def slice(self, start: int, stop: int) -> RawRecording:
+        """Frames start to stop-1."""
+        cut = slice(start, stop)
+        return replace(
+            self,
+            gyr=self.gyr[cut],
+            acc=self.acc[cut],
+            mag=None if self.mag is None else self.mag[cut],
+            R_world_sensor=None if self.R_world_sensor is None else self.R_world_sensor[cut],
+            valid=self.valid[cut],
+            reference=None if self.reference is None else self.reference.slice(start, stop),
+            start_s=self.start_s + start / self.rate_hz,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """T samples of S calibrated sensors: what every estimator reads.
+
+    R_world_bone (T,S,3,3): orientation of the bone that carries the sensor (rest pose: identity), in
+    the y-up world. acc_world (T,S,3) m/s^2: acceleration of the sensor in the world, gravity removed;
+    a sensor without one has NaN. valid (T,S): False where nothing of the sample may be used; then
+    acc_world is NaN, and what R_world_bone holds must be ignored. joint (S,) and placement (S,3) m:
+    the joint whose rotation each sensor follows and its seat in that bone's rest frame (defaults: the
+    table of places). reference: a known motion, frame for frame. calibration, noise: JSON-like records
+    of how the recording was made. start_s: time of frame 0 on the source's clock.
+    """
+
+    rate_hz: float
+    sensors: tuple[str, ...]
+    R_world_bone: Array
+    acc_world: Array
+    valid: Bool | None = None  # type: ignore[assignment]
+    joint: NDArray[np.int64] | None = None  # type: ignore[assignment]
+    placement: Array | None = None  # type: ignore[assignment]
+    reference: Motion | None = None
+    calibration: dict[str, Any] | None = None
+    noise: dict[str, Any] | None = None
+    start_s: float = 0.0
+    notes: tuple[str, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        put = object.__setattr__
+        names = _names(self.sensors, "Recording")
+        put(self, "sensors", names)
+        put(self, "rate_hz", check_rate(self.rate_hz, "Recording"))
+        S = len(names)
+        R = np.array(self.R_world_bone, float)
+        if R.ndim != 4 or R.shape[1:] != (S, 3, 3) or len(R) == 0:
+            raise ShapeError(f"Recording: R_world_bone must be (T,{S},3,3), T > 0, got {R.shape}")
+        T = len(R)
+        acc = _array(self.acc_world, (T, S, 3), "Recording: acc_world")
+        valid = np.ones((T, S), bool) if self.valid is None else np.array(self.valid, bool)
+        if valid.shape != (T, S):
+            raise ShapeError(f"Recording: valid must be {(T, S)}, got {valid.shape}")
+        has_R = np.isfinite(R).all((-1, -2))
+        bad = valid & has_R & ~ori.is_rotation(R)
+        if bad.any():
+            t, s = np.argwhere(bad)[0]
+            det = np.linalg.det(R[t, s])
+            hand = "left-handed" if det < 0 else "not orthonormal"
+            raise ShapeError(
+                f"Recording: frame {t}, sensor {names[s]}: R_world_bone is {hand} "
+                f"(determinant {det:.3f}, expected 1)"
+            )
+        # Files hold float32: project once, so that rounding does not count as a residual.
+        use = valid & has_R
+        R[use] = ori.project(R[use])
+        valid &= has_R | np.isfinite(acc).all(-1)
+        acc[~valid] = np.nan
+        put(self, "R_world_bone", R)
+        put(self, "acc_world", acc)
+        put(self, "valid", valid)
+        joint, seat = self.joint, self.placement
+        if joint is None or seat is None:
+            joint_t, seat_t = places.joints_and_seats(names)
+            joint = joint_t if joint is None else joint
+            seat = seat_t if seat is None else seat
+        joint = np.array(joint, np.int64)
+        if joint.shape != (S,) or (joint < 0).any() or (joint > 23).any():
+            raise SensorError(f"Recording: joint must hold {S} indices in 0..23, got {joint}")
+        put(self, "joint", joint)
+        seat = _array(seat, (S, 3), "Recording: placement")
+        if not np.isfinite(seat).all() or np.abs(seat).max() > 2:
+            raise ShapeError("Recording: placement must be metres on the bone, within 2 m")
+        put(self, "placement", seat)
+        if self.reference is not None:
+            if len(self.reference) != T:
+                raise ShapeError(f"Recording: reference has {len(self.reference)} frames, not {T}")
+            if abs(self.reference.rate_hz - self.rate_hz) > 1e-6 * self.rate_hz:
+                raise ShapeError("Recording: reference runs at another rate")
+        for a in (R, acc, valid, joint, seat):
+            a.setflags(write=False)
+
+    def __len__(self) -> int:
+        return len(self.R_world_bone)
+
+    @property
+    def seconds(self) -> float:
+        """Length in s: frames / rate."""
+        return len(self) / self.rate_hz
+
+    @property
+    def ori_valid(self) -> Bool:
+        """(T,S): the orientation may be used."""
+        return self.valid & np.isfinite(self.R_world_bone).all((-1, -2))
+
+    @property
+    def acc_valid(self) -> Bool:
+        """(T,S): the acceleration may be used."""
+        return self.valid & np.isfinite(self.acc_world).all(-1)
+
+    def select(self, names: tuple[str, ...]) -> Recording:
+        """The same recording of these sensors, in this order."""
+        idx = _indices(self.sensors, names)
+        return replace(
+            self,
+            sensors=tuple(names),
+            R_world_bone=self.R_world_bone[:, idx],
+            acc_world=self.acc_world[:, idx],
+            valid=self.valid[:, idx],
+            joint=self.joint[idx],
+            placement=self.placement[idx],
+        )
+
+    def slice(self, start: int, stop: int) -> Recording:
+        """Frames start to stop-1."""
+        return replace(
+            self,
+            R_world_bone=self.R_world_bone[start:stop],
+            acc_world=self.acc_world[start:stop],
+            valid=self.valid[start:stop],
+            reference=None if self.reference is None else self.reference.slice(start, stop),
+            start_s=self.start_s + start / self.rate_hz,
+        )
+
+    def turned(self, yaw: float) -> Recording:
+        """Everything turned about the vertical by `yaw` rad."""
+        Ry = ori.rot_y(yaw)
+        return replace(
+            self,
+            R_world_bone=Ry @ self.R_world_bone,
+            acc_world=self.acc_world @ Ry.T,
+            reference=None if self.reference is None else self.reference.turned(yaw),
+        )
+
+
+def _indices(have: tuple[str, ...], want: tuple[str, ...]) -> list[int]:
+    missing = [n for n in want if n not in have]
+    if missing or not want:
+        raise SensorError(
+            f"sensor {', '.join(missing) or '(none)'} not in the recording; it has: {', '.join(have)}"
+        )
+    return [have.index(n) for n in want]
