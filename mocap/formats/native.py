@@ -1,0 +1,241 @@
+"""The project's own recordings, "poser-recording/1" and "poser-raw/1": numpy archives, no pickles.
+
+World: y up, right-handed. A reference's `trans` is SMPL's: p_world_root = J0 + trans, J0 the rest
+pelvis of the reference's body.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mocap.errors import FormatError, PoserError
+from mocap.formats import Content, Document, Format, Options, _npz
+from mocap.formats._files import write_aside
+from mocap.motion import Motion
+from mocap.recording import RawRecording, Recording
+from mocap.skeleton import Skeleton
+
+RECORDING = "poser-recording/1"
+RAW = "poser-raw/1"
+_COMMON = (
+    "schema", "rate_hz", "sensors", "valid", "start_s", "poses", "trans", "betas", "offsets",
+)  # fmt: skip
+_RECORDING = (
+    *_COMMON, "R_world_bone", "acc_world", "placement", "joint", "calibration", "noise", "notes",
+)  # fmt: skip
+_RAW = (*_COMMON, "gyr", "acc", "mag", "R_world_sensor", "truth")
+
+
+def read_recording(path: str | Path, options: Options | None = None) -> Recording:
+    """A calibrated recording of a "poser-recording/1" file.
+
+    R_world_bone (T,S,3,3) and acc_world (T,S,3) m/s^2 come back as float64. Raises FormatError
+    naming the field that is missing or does not fit, also for a file of another schema.
+    """
+    path = Path(path)
+    fields = _fields(path, RECORDING)
+    sensors = fields.texts("sensors")
+    S = len(sensors)
+    R = fields.floats("R_world_bone", (None, S, 3, 3))
+    T = len(R)
+    acc = fields.floats("acc_world", (T, S, 3))
+    rate = fields.number("rate_hz")
+    return _made(
+        path,
+        Recording,
+        rate_hz=rate,
+        sensors=sensors,
+        R_world_bone=R,
+        acc_world=acc,
+        valid=fields.bools("valid", (T, S)) if "valid" in fields else None,
+        joint=fields.integers("joint", (S,)) if "joint" in fields else None,
+        placement=fields.floats("placement", (S, 3)) if "placement" in fields else None,
+        reference=_reference(fields, rate, T, options),
+        calibration=fields.mapping("calibration"),
+        noise=fields.mapping("noise"),
+        start_s=fields.number("start_s") if "start_s" in fields else 0.0,
+        notes=fields.texts("notes") if "notes" in fields else (),
+    )
+
+
+def read_raw(path: str | Path, options: Options | None = None) -> RawRecording:
+    """A raw recording of a "poser-raw/1" file.
+
+    gyr (T,S,3) rad/s, acc (T,S,3) m/s^2 with gravity, in the sensors' frames. Raises FormatError
+    naming the field that is missing or does not fit, also for a file of another schema.
+    """
+    path = Path(path)
+    fields = _fields(path, RAW)
+    sensors = fields.texts("sensors")
+    S = len(sensors)
+    acc = fields.floats("acc", (None, S, 3))
+    T = len(acc)
+    rate = fields.number("rate_hz")
+    has_R = "R_world_sensor" in fields
+    return _made(
+        path,
+        RawRecording,
+        rate_hz=rate,
+        sensors=sensors,
+        gyr=fields.floats("gyr", (T, S, 3)),
+        acc=acc,
+        mag=fields.floats("mag", (T, S, 3)) if "mag" in fields else None,
+        R_world_sensor=fields.floats("R_world_sensor", (T, S, 3, 3)) if has_R else None,
+        valid=fields.bools("valid", (T, S)) if "valid" in fields else None,
+        reference=_reference(fields, rate, T, options),
+        truth=fields.mapping("truth"),
+        start_s=fields.number("start_s") if "start_s" in fields else 0.0,
+    )
+
+
+def write_recording(path: str | Path, recording: Recording) -> None:
+    """Write a "poser-recording/1" file: R_world_bone and acc_world as float32, all else in full.
+
+    The file appears whole or not at all. Raises OSError where it cannot be written.
+    """
+    arrays: dict[str, Any] = {
+        "schema": RECORDING,
+        "rate_hz": recording.rate_hz,
+        "sensors": np.array(recording.sensors),
+        "R_world_bone": recording.R_world_bone.astype(np.float32),
+        "acc_world": recording.acc_world.astype(np.float32),
+        "valid": recording.valid,
+        "placement": recording.placement,
+        "joint": recording.joint,
+        "start_s": recording.start_s,
+    }
+    for name, value in (("calibration", recording.calibration), ("noise", recording.noise)):
+        if value is not None:
+            arrays[name] = _json(value)
+    if recording.notes:
+        arrays["notes"] = np.array(recording.notes)
+    _write(Path(path), arrays, recording.reference)
+
+
+def write_raw(path: str | Path, raw: RawRecording) -> None:
+    """Write a "poser-raw/1" file: measurements as float32, a reference in full.
+
+    The file appears whole or not at all. Raises OSError where it cannot be written.
+    """
+    arrays: dict[str, Any] = {
+        "schema": RAW,
+        "rate_hz": raw.rate_hz,
+        "sensors": np.array(raw.sensors),
+        "gyr": raw.gyr.astype(np.float32),
+        "acc": raw.acc.astype(np.float32),
+        "valid": raw.valid,
+        "start_s": raw.start_s,
+    }
+    if raw.mag is not None:
+        arrays["mag"] = raw.mag.astype(np.float32)
+    if raw.R_world_sensor is not None:
+        arrays["R_world_sensor"] = raw.R_world_sensor.astype(np.float32)
+    if raw.truth is not None:
+        arrays["truth"] = _json(raw.truth)
+    _write(Path(path), arrays, raw.reference)
+
+
+def _fields(path: Path, schema: str) -> _npz.Fields:
+    """The arrays of a file of this schema, which is looked at before anything large is read."""
+    found = _npz.Fields(path, _npz.load(path, ("schema",))).text("schema")
+    if found != schema:
+        raise FormatError(path, f"schema is {found[:60]!r}, expected {schema!r}")
+    return _npz.Fields(path, _npz.load(path, _RECORDING if schema == RECORDING else _RAW))
+
+
+def _made(path: Path, kind: Any, **values: Any) -> Any:
+    try:
+        return kind(**values)
+    except FormatError:
+        raise
+    except PoserError as e:
+        raise FormatError(path, str(e)) from e
+
+
+def _reference(
+    fields: _npz.Fields, rate_hz: float, T: int, options: Options | None
+) -> Motion | None:
+    """The reference motion, where the file has one.
+
+    Its body, in this order: the user's SMPL file with the file's betas; the bone vectors the file
+    carries; the table. The bone vectors are an extra that only bodies other than the table's need.
+    """
+    if "poses" not in fields:
+        return None
+    path = fields.path
+    poses = fields.floats("poses", (T, 72))
+    trans = fields.floats("trans", (T, 3))
+    betas = fields.floats("betas", (None,)) if "betas" in fields else np.zeros(10)
+    for name, values in (("poses", poses), ("trans", trans)):
+        if not np.isfinite(values).all():
+            t = int(np.argwhere(~np.isfinite(values))[0][0])
+            raise FormatError(path, f"{name} of the reference is not finite", f"frame {t}")
+    try:
+        if options is not None and options.smpl is not None:
+            body = Skeleton.from_smpl_file(options.smpl, betas)
+        else:
+            table = Skeleton.default(options.height if options is not None else None)
+            own = fields.floats("offsets", (24, 3)) if "offsets" in fields else table.offsets
+            body = Skeleton(table.names, table.parents, own, betas)
+        return Motion.from_smpl(rate_hz, poses, trans, body)
+    except FormatError:
+        raise
+    except PoserError as e:
+        raise FormatError(path, f"reference: {e}") from e
+
+
+def _json(value: dict[str, Any]) -> str:
+    return json.dumps(value, default=_plain)
+
+
+def _plain(value: Any) -> Any:
+    """What JSON lacks: numpy arrays and numbers, paths."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    return str(value)
+
+
+def _write(path: Path, arrays: dict[str, Any], reference: Motion | None) -> None:
+    if reference is not None:
+        arrays["poses"] = reference.poses
+        arrays["trans"] = reference.trans
+        arrays["betas"] = reference.skeleton.betas.astype(np.float64)
+        if not np.array_equal(reference.skeleton.offsets, Skeleton.default().offsets):
+            arrays["offsets"] = np.asarray(reference.skeleton.offsets)
+    # Through an open file: numpy appends .npz to names that lack it.
+    with write_aside(path) as aside, aside.open("wb") as f:
+        np.savez_compressed(f, **arrays)
+
+
+def _sniff(path: Path, head: bytes) -> bool:
+    if not head.startswith(b"PK"):
+        return False
+    # A file cut short has lost its directory; the first member still names itself.
+    return "schema" in _npz.names(path) or b"schema.npy" in head
+
+
+def _read(path: Path, options: Options) -> Document:
+    schema = _npz.Fields(path, _npz.load(path, ("schema",))).text("schema")
+    if schema == RAW:
+        return Document("native", read_raw(path, options))
+    if schema == RECORDING:
+        return Document("native", read_recording(path, options))
+    raise FormatError(
+        path, f"schema is {schema[:60]!r}; this version reads {RECORDING!r} and {RAW!r}"
+    )
+
+
+def _write_any(path: Path, content: Content) -> None:
+    if isinstance(content, Recording):
+        write_recording(path, content)
+    elif isinstance(content, RawRecording):
+        write_raw(path, content)
+    else:
+        raise FormatError(path, "a motion is written as an AMASS file, not as a recording")
+
+
+FORMAT = Format("native", (".npz",), _sniff, _read, _write_any)
