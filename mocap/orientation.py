@@ -126,7 +126,7 @@ def heading(R: ArrayLike) -> Array:
     return np.arctan2(R[..., 0, 2] - R[..., 2, 0], R[..., 0, 0] + R[..., 2, 2])
 
 
-def mean(R: ArrayLike, weights: ArrayLike | None = None) -> Array:
+def mean(R: ArrayLike, weights: Array | None = None) -> Array:
     """Chordal mean (3,3) of rotations (N,3,3)."""
     return project(np.average(np.asarray(R, float), axis=0, weights=weights))
 

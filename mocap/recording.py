@@ -60,7 +60,7 @@ class RawRecording:
     acc: Array
     mag: Array | None = None
     R_world_sensor: Array | None = None
-    valid: Bool | None = None  # type: ignore[assignment]
+    valid: Bool = None  # type: ignore[assignment]
     reference: Motion | None = None
     truth: dict[str, Any] | None = None
     start_s: float = 0.0
@@ -153,9 +153,9 @@ class Recording:
     sensors: tuple[str, ...]
     R_world_bone: Array
     acc_world: Array
-    valid: Bool | None = None  # type: ignore[assignment]
-    joint: NDArray[np.int64] | None = None  # type: ignore[assignment]
-    placement: Array | None = None  # type: ignore[assignment]
+    valid: Bool = None  # type: ignore[assignment]
+    joint: NDArray[np.int64] = None  # type: ignore[assignment]
+    placement: Array = None  # type: ignore[assignment]
     reference: Motion | None = None
     calibration: dict[str, Any] | None = None
     noise: dict[str, Any] | None = None
