@@ -51,7 +51,10 @@ class RawRecording:
     +9.81 on its up axis); mag (T,S,3) in any unit, or None; R_world_sensor (T,S,3,3) in a y-up world,
     or None; valid (T,S). `segments_aligned`: R_world_sensor already is the segment's orientation up
     to a constant (files that carry a vendor's segment quaternions). reference: a known motion, frame
-    for frame, if any. truth: what was synthesised (JSON-like), if anything.
+    for frame, if any. truth: what was synthesised (JSON-like), if anything. facing_rad: heading of the
+    person's forward in the static pose, in the world of R_world_sensor: forward = (sin, 0, cos), where
+    the file knows it (a reader of segment frames does; see `mocap.calibration`). common_heading: whether
+    all sensors of R_world_sensor share one heading (False: 6-axis orientation, each its own).
     """
 
     rate_hz: float
@@ -64,6 +67,8 @@ class RawRecording:
     reference: Motion | None = None
     truth: dict[str, Any] | None = None
     start_s: float = 0.0
+    facing_rad: float | None = None
+    common_heading: bool = True
 
     def __post_init__(self) -> None:
         names = _names(self.sensors, "RawRecording")
