@@ -165,4 +165,3 @@ class Motion:
         M = np.diag([-1.0, 1.0, 1.0])
         R = M @ self.R_parent_joint[:, list(MIRROR)] @ M
         return replace(self, R_parent_joint=R, p_world_root=self.p_world_root @ M)
-

@@ -1,0 +1,263 @@
+"""From raw sensors to a recording: static pose, heading, sensor-to-bone rotation, gravity.
+
+    R_world_bone(t) = R_y(heading_s) R_world_sensor(t) R_bone_sensor^T
+    R_bone_sensor   = R_world_bone(pose)^T R_y(heading_s) R_world_sensor(pose)
+    acc_world       = R_y(heading_s) R_world_sensor acc - g e_y
+
+In the T-pose every bone is the identity; in the N-pose the left arm's joints 16, 18, 20, 22 are at
+R_z(-a), the right arm's 17, 19, 21, 23 at R_z(+a). The wearer faces +z in the pose, so heading_s is
+minus the heading of the wearer's forward in the world of sensor s. It is not a free choice of the
+world's yaw: see `mocap.facing` for what a wrong one does and what tells the right one.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from mocap import facing as face
+from mocap import fusion
+from mocap import orientation as ori
+from mocap import sensors as places
+from mocap.diagnostics import Finding
+from mocap.errors import CalibrationError
+from mocap.orientation import Array
+from mocap.recording import RawRecording, Recording
+from mocap.static_pose import Pose, Window, average, find_static
+
+SCHEMA = "poser-calibration/1"
+LEFT_ARM, RIGHT_ARM = (16, 18, 20, 22), (17, 19, 21, 23)
+ARM_ANGLE_DEG = 80.0
+PoseName = Literal["n", "t"]
+Orientation = Literal["auto", "file", "vqf"]
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """How S sensors sit on their bones, and how sure that is.
+
+    sensors: their places. R_bone_sensor (S,3,3). heading (S,) rad: turns each sensor's world about y
+    into the one in which the wearer faced +z in the pose. heading_sigma (S,) rad: 1-sigma of it, pi
+    where it was merely assumed. pose: "n" or "t". arm_angle_deg: of the N-pose. time: start and end of
+    the pose in s on the recording's clock. method: what the heading rests on, in words. orientation:
+    "file" or "vqf" (with "vqf" and no magnetometer the headings hold for this recording alone,
+    R_bone_sensor for as long as the sensors stay where they are). diagnostics: the findings.
+    """
+
+    sensors: tuple[str, ...]
+    R_bone_sensor: Array
+    heading: Array
+    heading_sigma: Array
+    pose: str
+    arm_angle_deg: float
+    time: tuple[float, float]
+    method: str
+    orientation: str
+    diagnostics: tuple[Finding, ...] = ()
+
+    def __post_init__(self) -> None:
+        S = len(self.sensors)
+        for name, shape in (
+            ("R_bone_sensor", (S, 3, 3)),
+            ("heading", (S,)),
+            ("heading_sigma", (S,)),
+        ):
+            value = np.array(getattr(self, name), float)
+            if value.shape != shape or not np.isfinite(value).all():
+                raise CalibrationError(
+                    f"Calibration: {name} must be finite and {shape}, got {value.shape}"
+                )
+            value.setflags(write=False)
+            object.__setattr__(self, name, value)
+        if not ori.is_rotation(self.R_bone_sensor).all():
+            s = int(np.argmin(ori.is_rotation(self.R_bone_sensor)))
+            raise CalibrationError(
+                f"Calibration: R_bone_sensor of {self.sensors[s]} is not a rotation"
+            )
+
+    def to_json(self) -> str:
+        """All of it as JSON text."""
+        return json.dumps(self.to_dict())
+
+    def to_dict(self) -> dict[str, Any]:
+        """All of it as plain JSON-like data: what a Recording carries as `calibration`."""
+        return {
+            "schema": SCHEMA,
+            "sensors": list(self.sensors),
+            "R_bone_sensor": self.R_bone_sensor.tolist(),
+            "heading_rad": self.heading.tolist(),
+            "heading_sigma_rad": self.heading_sigma.tolist(),
+            "pose": self.pose,
+            "arm_angle_deg": self.arm_angle_deg,
+            "time_s": list(self.time),
+            "method": self.method,
+            "orientation": self.orientation,
+            "diagnostics": [f.to_dict() for f in self.diagnostics],
+        }
+
+    @classmethod
+    def from_json(cls, text: str) -> Calibration:
+        """Inverse of `to_json`. Raises CalibrationError where the text is something else."""
+        try:
+            data = json.loads(text)
+            if data["schema"] != SCHEMA:
+                raise CalibrationError(
+                    f"calibration: schema is {data['schema']!r}, expected {SCHEMA!r}"
+                )
+            return cls(
+                tuple(map(str, data["sensors"])),
+                np.array(data["R_bone_sensor"], float),
+                np.array(data["heading_rad"], float),
+                np.array(data["heading_sigma_rad"], float),
+                str(data["pose"]),
+                float(data["arm_angle_deg"]),
+                (float(data["time_s"][0]), float(data["time_s"][1])),
+                str(data["method"]),
+                str(data["orientation"]),
+                tuple(Finding(**f) for f in data["diagnostics"]),
+            )
+        except (ValueError, KeyError, TypeError, IndexError) as e:
+            raise CalibrationError(f"not a calibration: {type(e).__name__} {e}") from e
+
+    def apply(self, raw: RawRecording) -> Recording:
+        """The calibrated recording of `raw`, which must have these sensors (others are left out).
+
+        Uses R_world_sensor of `raw`; where it has none, or the calibration was made with VQF, it is
+        fused again. A reference motion is turned into the world of the result by the heading of the
+        pelvis (or what stands for it). Raises CalibrationError where a sensor is missing.
+        """
+        missing = [n for n in self.sensors if n not in raw.sensors]
+        if missing:
+            raise CalibrationError(
+                f"calibration is for sensor {', '.join(missing)}, which the recording lacks; it has: "
+                f"{', '.join(raw.sensors)}"
+            )
+        raw = raw.select(self.sensors)
+        if self.orientation == "vqf" or raw.R_world_sensor is None:
+            raw = fusion.with_orientation(raw)
+        return self._apply(raw)
+
+    def _apply(self, raw: RawRecording) -> Recording:
+        assert raw.R_world_sensor is not None
+        R_turned = ori.rot_y(self.heading) @ raw.R_world_sensor
+        acc = np.einsum("tsij,tsj->tsi", R_turned, raw.acc)
+        acc[..., 1] -= ori.GRAVITY
+        reference = raw.reference
+        if reference is not None:
+            s = self.sensors.index(face.pelvis_first(self.sensors))
+            reference = reference.turned(float(self.heading[s]))
+        return Recording(
+            raw.rate_hz,
+            self.sensors,
+            R_turned @ np.swapaxes(self.R_bone_sensor, -1, -2),
+            acc,
+            valid=raw.valid & np.isfinite(raw.R_world_sensor).all((-1, -2)),
+            reference=reference,
+            calibration=self.to_dict(),
+            start_s=raw.start_s,
+        )
+
+
+def pose_bones(joints: np.ndarray, pose: str = "n", arm_angle_deg: float = ARM_ANGLE_DEG) -> Array:
+    """R_world_bone (S,3,3) of bones `joints` (S,) in the T- or N-pose of a wearer who faces +z."""
+    if pose not in ("n", "t"):
+        raise CalibrationError(f"pose {pose!r} unknown: n (arms down) or t (arms to the sides)")
+    if not 0 <= arm_angle_deg <= 100:
+        raise CalibrationError(f"arm angle {arm_angle_deg:g} deg is outside 0 to 100")
+    a = np.radians(arm_angle_deg) if pose == "n" else 0.0
+    angles = np.where(np.isin(joints, LEFT_ARM), -a, np.where(np.isin(joints, RIGHT_ARM), a, 0.0))
+    return ori.rot_z(angles)
+
+
+def calibrate(
+    raw: RawRecording,
+    pose: PoseName = "n",
+    at: float | None = None,
+    arm_angle_deg: float = ARM_ANGLE_DEG,
+    facing: float | None = None,
+    axes: Mapping[str, str] | None = None,
+    second: tuple[PoseName, float] | None = None,
+    orientation: Orientation = "auto",
+    strict: bool = True,
+) -> tuple[Recording, Calibration]:
+    """Calibrate `raw` from a static pose.
+
+    pose: "n" (arms down) or "t". at: its time in s on the recording's clock, else it is found. facing:
+    heading of the wearer's forward in the sensors' world in deg (0: our +z, 90: +x), where known. axes:
+    known mountings, {"pelvis": "x forward"}. second: another static pose and its time, ("t", 12.5).
+    Without these three: the file's own `facing_rad`, else the motion, else 0 is assumed and a warning
+    says so. orientation: "file" (R_world_sensor of `raw`), "vqf" (from gyr, acc and mag), "auto" (the
+    file's if it has one). strict: raise CalibrationError at a finding of severity "error"; with False
+    the result comes anyway, and the findings are in its `diagnostics`.
+    """
+    joints, _ = places.joints_and_seats(raw.sensors)
+    bones = pose_bones(joints, pose, arm_angle_deg)
+    if orientation == "file" and raw.R_world_sensor is None:
+        raise CalibrationError("the recording carries no orientation: use orientation='vqf'")
+    source = "file" if raw.R_world_sensor is not None and orientation != "vqf" else "vqf"
+    findings: list[Finding] = []
+    window = find_static(raw, at)
+    fused = raw if source == "file" else fusion.with_orientation(raw)
+    static = average(fused, window)
+    heading, sigma, method, said = _headings(
+        fused, static, window, joints, bones, facing, axes, second, pose == "n", arm_angle_deg
+    )
+    findings += said
+    R_bone_sensor = np.swapaxes(bones, -1, -2) @ ori.rot_y(-heading) @ static.R_world_sensor
+    result = Calibration(
+        raw.sensors,
+        R_bone_sensor,
+        -heading,
+        sigma,
+        pose,
+        arm_angle_deg,
+        window.seconds(raw),
+        method,
+        source,
+        tuple(findings),
+    )
+    return result._apply(fused), result
+
+
+def _headings(
+    raw: RawRecording,
+    static: Pose,
+    window: Window,
+    joints: np.ndarray,
+    bones: Array,
+    facing: float | None,
+    axes: Mapping[str, str] | None,
+    second: tuple[PoseName, float] | None,
+    arms_hang: bool,
+    arm_angle_deg: float,
+) -> tuple[Array, Array, str, list[Finding]]:
+    """Facing phi (S,) rad in each sensor's world, its sigma (S,), the method in words, findings."""
+    S = len(raw.sensors)
+    cues: list[face.Cue] = []
+    if facing is not None:
+        cues = [face.Cue("pelvis", np.radians(facing), np.radians(3.0), "facing as given")]
+    elif axes:
+        cues = face.known_axes(axes, raw, static)
+    elif second is not None:
+        other = average(raw, find_static(raw, second[1]))
+        cues = face.second_pose(
+            raw, static, other, bones, pose_bones(joints, second[0], arm_angle_deg)
+        )
+    elif raw.facing_rad is not None:
+        cues = [face.Cue("pelvis", raw.facing_rad, np.radians(5.0), "facing as the file has it")]
+    else:
+        cues = face.from_motion(raw, static, window, arms_hang)
+    if not cues:
+        text = (
+            "where the wearer faces in the pose cannot be told from the data: 0 deg in the sensors' "
+            "world is ASSUMED; give the facing, a known axis, a second pose, or record walking"
+        )
+        said = Finding("warning", None, "facing-assumed", text, 180.0)
+        return np.zeros(S), np.full(S, np.pi), "assumed", [said]
+    phi, sigma, kept = face.combine(cues)
+    method = ", ".join(dict.fromkeys(c.method for c in kept))
+    return np.full(S, phi), np.full(S, sigma), method, []

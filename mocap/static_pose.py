@@ -1,0 +1,217 @@
+"""The static pose: find when the wearer stood still, and average the sensors over it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from mocap import orientation as ori
+from mocap.errors import CalibrationError
+from mocap.orientation import Array
+from mocap.recording import Bool, RawRecording
+
+SMOOTH_S = 0.4  # rates are averaged over this time: tremor and soft tissue are not movement
+STILL_RATE = 0.12  # rad/s: standing people sway below 5 deg/s, slow limb movements exceed 10
+NEVER_STILL = 0.6  # rad/s: if the calmest moments are faster than this, nobody stood still
+MIN_S, MAX_S = 0.5, 2.0  # shortest run that counts as a pose, longest part of it that is averaged
+IMPLAUSIBLE_DEG = 40.0  # trunk or thighs this far from where they are in motion: sitting, lying
+_UPRIGHT = ("pelvis", "sternum", "lower_back", "upper_back", "left_thigh", "right_thigh",
+            "left_shank", "right_shank")  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Window:
+    """Frames start to stop-1, taken for the static pose.
+
+    rate: mean smoothed rate of rotation over sensors and frames, rad/s. still: whether it is a still
+    run (False: the time was given and the wearer moved then). found: by search, not by a given time.
+    """
+
+    start: int
+    stop: int
+    rate: float
+    still: bool
+    found: bool
+
+    def seconds(self, raw: RawRecording) -> tuple[float, float]:
+        """Start and end in s on the recording's clock."""
+        return raw.start_s + self.start / raw.rate_hz, raw.start_s + self.stop / raw.rate_hz
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """Averages over a window.
+
+    R_world_sensor (S,3,3): chordal means. acc (S,3) m/s^2: mean specific force in the sensor's frame.
+    moved_deg (S,): angle between the means of the first and the last third. wobble_deg (S,): rms angle
+    to the mean.
+    """
+
+    R_world_sensor: Array
+    acc: Array
+    moved_deg: Array
+    wobble_deg: Array
+
+
+def stillness(raw: RawRecording) -> Array:
+    """Rate of rotation of the whole body (T,), rad/s: rms over sensors of |smoothed gyr|.
+
+    The mean over SMOOTH_S keeps net rotation and removes tremor. Invalid samples do not count; frames
+    without any valid sensor are infinite.
+    """
+    n = max(1, round(SMOOTH_S * raw.rate_hz))
+    weight = uniform_filter1d(raw.valid.astype(float), n, axis=0)
+    gyr = np.where(raw.valid[..., None], np.nan_to_num(raw.gyr), 0.0)
+    smooth = uniform_filter1d(gyr, n, axis=0) / np.maximum(weight, 1e-9)[..., None]
+    rate = np.linalg.norm(smooth, axis=-1)
+    has = weight > 0.3
+    count = has.sum(axis=1)
+    mean = np.sqrt(np.where(has, rate**2, 0.0).sum(axis=1) / np.maximum(count, 1))
+    return np.where(count > 0, mean, np.inf)
+
+
+def threshold(rate: Array) -> float:
+    """Rate (rad/s) below which the body counts as still: STILL_RATE, or more with noisy sensors."""
+    return max(STILL_RATE, 1.6 * float(np.percentile(rate, 2)))
+
+
+def still_runs(raw: RawRecording) -> list[tuple[int, int]]:
+    """All runs [start, stop) of at least MIN_S in which the whole body is still, first to last."""
+    rate = stillness(raw)
+    if not np.isfinite(rate).any():
+        raise CalibrationError("no frame has a valid sensor")
+    still = rate < threshold(rate[np.isfinite(rate)])
+    edges = np.flatnonzero(np.diff(np.r_[False, still, False])).reshape(-1, 2)
+    return [(int(a), int(b)) for a, b in edges if b - a >= MIN_S * raw.rate_hz]
+
+
+def find_static(raw: RawRecording, at: float | None = None) -> Window:
+    """The window of the static pose.
+
+    at: a time in s on the recording's clock (`raw.start_s` is frame 0); the still run around it, at
+    most 1 s to each side, or 0.25 s to each side where the wearer moved. Without it: the best still
+    run: long (up to MAX_S), calm, early (recordings begin with the pose), and with trunk and legs
+    held roughly as during the rest of the recording, which a wearer who sits or lies does not.
+    Raises CalibrationError where `at` lies outside the recording or nothing is still.
+    """
+    rate = stillness(raw)
+    if at is not None:
+        return _around(raw, rate, at)
+    finite = rate[np.isfinite(rate)]
+    runs = still_runs(raw)
+    if not runs or np.percentile(finite, 1) > NEVER_STILL:
+        calm = float(finite.min()) if len(finite) else np.nan
+        raise CalibrationError(
+            f"no static pose found: the body is never still for {MIN_S:g} s (calmest moment "
+            f"{np.degrees(calm):.0f} deg/s); name a time"
+        )
+    scores = [_score(raw, rate, a, b) for a, b in runs]
+    a, b = runs[int(np.argmax(scores))]
+    start, stop = _calmest(rate, a, b, raw.rate_hz)
+    return Window(start, stop, float(rate[start:stop].mean()), True, True)
+
+
+def average(raw: RawRecording, window: Window) -> Pose:
+    """Mean orientation and specific force of every sensor over the window.
+
+    Needs R_world_sensor. Raises CalibrationError naming a sensor that has no valid sample there.
+    """
+    if raw.R_world_sensor is None:
+        raise CalibrationError("the recording has no R_world_sensor: fuse it first")
+    S = len(raw.sensors)
+    R_all, acc_all = (x[window.start : window.stop] for x in (raw.R_world_sensor, raw.acc))
+    valid = raw.valid[window.start : window.stop] & np.isfinite(R_all).all((-1, -2))
+    R, acc = np.empty((S, 3, 3)), np.empty((S, 3))
+    moved, wobble = np.zeros(S), np.zeros(S)
+    for s, name in enumerate(raw.sensors):
+        ok = np.flatnonzero(valid[:, s])
+        if len(ok) == 0:
+            a, b = window.seconds(raw)
+            raise CalibrationError(
+                f"sensor {name}: no valid sample in the static pose, {a:.2f} to {b:.2f} s"
+            )
+        R[s], acc[s] = ori.mean(R_all[ok, s]), acc_all[ok, s].mean(axis=0)
+        wobble[s] = np.degrees(np.sqrt(np.mean(ori.angle_between(R[s], R_all[ok, s]) ** 2)))
+        if len(ok) >= 3:
+            n = len(ok) // 3
+            ends = ori.mean(R_all[ok[:n], s]), ori.mean(R_all[ok[-n:], s])
+            moved[s] = np.degrees(ori.angle_between(*ends))
+    return Pose(R, acc, moved, wobble)
+
+
+def _around(raw: RawRecording, rate: Array, at: float) -> Window:
+    last = raw.start_s + (len(raw) - 1) / raw.rate_hz
+    if not raw.start_s - 1e-9 <= at <= last + 1e-9:
+        raise CalibrationError(
+            f"the pose at {at:g} s lies outside the recording, {raw.start_s:g} to {last:g} s"
+        )
+    k = min(len(raw) - 1, max(0, round((at - raw.start_s) * raw.rate_hz)))
+    run = next(((a, b) for a, b in still_runs(raw) if a <= k < b), None)
+    half = (MAX_S / 2 if run else 0.25) * raw.rate_hz
+    low, high = run or (0, len(raw))
+    start, stop = max(low, int(k - half)), min(high, int(k + half) + 1)
+    return Window(start, stop, float(rate[start:stop].mean()), run is not None, False)
+
+
+def _calmest(rate: Array, a: int, b: int, rate_hz: float) -> tuple[int, int]:
+    """The calmest part of [a, b) that lasts at most MAX_S."""
+    n = min(b - a, max(1, round(MAX_S * rate_hz)))
+    sums = np.convolve(rate[a:b], np.ones(n), mode="valid")
+    k = a + int(np.argmin(sums))
+    return k, k + n
+
+
+def _score(raw: RawRecording, rate: Array, a: int, b: int) -> float:
+    """Between 0 and 1: length, calmness, earliness, plausibility of a still run."""
+    a, b = _calmest(rate, a, b, raw.rate_hz)
+    length = min(1.0, (b - a) / (MAX_S * raw.rate_hz))
+    calm = 1.0 / (1.0 + (rate[a:b].mean() / STILL_RATE) ** 2)
+    early = 1.0 - 0.5 * a / len(raw)
+    lean = _lean_from_motion(raw, rate, a, b)
+    plausible = 1.0 if lean < IMPLAUSIBLE_DEG else 0.1
+    return float(length * calm * early * plausible)
+
+
+def _lean_from_motion(raw: RawRecording, rate: Array, a: int, b: int) -> float:
+    """Median angle in deg, over trunk and legs, between up in the window and up while moving."""
+    moving = rate > 3 * threshold(rate[np.isfinite(rate)])
+    angles = []
+    for s, name in enumerate(raw.sensors):
+        if name not in _UPRIGHT:
+            continue
+        here, there = raw.acc[a:b, s][raw.valid[a:b, s]], raw.acc[:, s][raw.valid[:, s] & moving]
+        if len(here) and len(there) > 5 * raw.rate_hz:
+            u, v = here.mean(axis=0), there.mean(axis=0)
+            cos = u @ v / max(np.linalg.norm(u) * np.linalg.norm(v), 1e-9)
+            angles.append(np.degrees(np.arccos(np.clip(cos, -1, 1))))
+    return float(np.median(angles)) if angles else 0.0
+
+
+def upright_runs(
+    raw: RawRecording, runs: list[tuple[int, int]], pose: Pose, limit_deg: float = 10.0
+) -> list[tuple[int, int]]:
+    """Those runs in which most sensors are tilted as in the pose, within `limit_deg`."""
+    kept = []
+    for a, b in runs:
+        tilt = tilt_from_pose(raw, a, b, pose)
+        if np.isfinite(tilt).any() and np.nanmedian(tilt) < limit_deg:
+            kept.append((a, b))
+    return kept
+
+
+def tilt_from_pose(raw: RawRecording, a: int, b: int, pose: Pose) -> Array:
+    """Angle (S,) in deg between up in the sensor's frame during [a, b) and in the pose.
+
+    Independent of any heading; NaN without a valid sample.
+    """
+    assert raw.R_world_sensor is not None
+    up = raw.R_world_sensor[a:b, :, 1, :]
+    ok: Bool = raw.valid[a:b] & np.isfinite(up).all(-1)
+    count = ok.sum(axis=0)
+    mean = np.where(ok[..., None], up, 0.0).sum(axis=0)
+    mean[count == 0] = np.nan
+    cos = np.einsum("si,si->s", mean, pose.R_world_sensor[:, 1, :])
+    with np.errstate(invalid="ignore"):
+        return np.degrees(np.arccos(np.clip(cos / np.linalg.norm(mean, axis=1), -1, 1)))
