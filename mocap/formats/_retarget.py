@@ -1,0 +1,208 @@
+"""A foreign skeleton's motion on our 24-joint body.
+
+Let G_j(t) be the global rotation of the source joint that plays our joint j. Its axes are whatever the
+exporting tool chose, so a constant per joint, C_j, turns them into ours:
+
+    R_world_j(t) = U G_j(t) C_j,      C_j = F_j M_j
+
+U turns the source's world to y up. F_j is the neutral frame: its columns are our axes in the local axes
+of the source joint, when the body stands in the T-pose in which all our rotations are the identity. M_j
+is the smallest rotation that takes our bone's rest direction to the source's, F_j^T d_j, so that limb
+directions equal the source's in every frame (copied rotations would bend a Daz forearm by 18 deg).
+F_j comes from `mocap.formats._neutral`. Trunk and head have M = I: there the frames correspond, while
+the joints' places inside the trunk are each tool's own choice.
+
+The body's size differs, so the place is scaled: the middle of the hips moves as the source's times the
+ratio of leg lengths, and the lowest foot of the motion stands on the floor y = 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mocap import orientation as ori
+from mocap.errors import FormatError
+from mocap.formats import _neutral
+from mocap.formats._neutral import minimal_rotation, unit
+from mocap.formats._source import INDEX, TARGET, Roles, Source, assign
+from mocap.motion import Motion
+from mocap.orientation import Array
+from mocap.skeleton import JOINTS, PARENTS, SOLE_BELOW_TOE, Skeleton
+
+# Length units that occur, in m; the last is CMU's.
+UNITS = {"1 m": 1.0, "1 cm": 0.01, "1 mm": 0.001, "1 inch": 0.0254, "1 foot": 0.3048,
+         "1/0.45 inch": 0.0254 / 0.45}  # fmt: skip
+LEG_RANGE = (0.45, 1.25)  # m, hip to ankle: from a child of 1 m to beyond the tallest
+T_POSE_FRAMES = 3  # dropped where a file starts with a T-pose that is not part of the motion
+JUMP_DEG_S = 1000.0
+
+
+@dataclass(frozen=True, eq=False)
+class Retargeted:
+    """The motion, and what was assumed or is doubtful, in sentences."""
+
+    motion: Motion
+    assumptions: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def retarget(source: Source, skeleton: Skeleton, scale: float | None = None) -> Retargeted:
+    """The source's motion on `skeleton`.
+
+    scale: m per unit of the file; None guesses it from the leg's length. Raises FormatError where limbs
+    are not recognised or a given scale makes no human.
+    """
+    roles = assign(source)
+    neutral = _neutral.find(source, roles)
+    said, doubts = [neutral.assumption], list(neutral.warnings)
+    unit_said, unit_doubt = _unit(source, roles, scale)
+    said.append(unit_said)
+    doubts += unit_doubt
+    if _starts_with_t_pose(source, roles, neutral.U):
+        source = source.slice(T_POSE_FRAMES)
+        said.append(f"the file starts with a T-pose: its first {T_POSE_FRAMES} frames are dropped")
+    R = _rotations(source, roles, neutral, skeleton)
+    p = _root_path(source, roles, neutral.U, R, skeleton)
+    doubts += _moving_bones(source, roles) + _backward_knees(R, skeleton)
+    said.append(
+        "the path is scaled by the ratio of leg lengths, and the lowest foot stands on the floor y = 0"
+    )
+    motion = Motion(source.rate_hz, skeleton.local_rotations(R), p, skeleton)
+    return Retargeted(motion, tuple(said), tuple(doubts))
+
+
+def _rotations(
+    source: Source, roles: Roles, neutral: _neutral.Neutral, skeleton: Skeleton
+) -> Array:
+    """R_world_joint (T,24,3,3)."""
+    G, p = source.forward
+    R = np.empty((len(source), 24, 3, 3))
+    trunk = [neutral.U @ G[:, roles.joint[0]] @ neutral.F[0]]
+    trunk += [neutral.U @ G[:, s] @ F for s, F in zip(roles.spine, neutral.F_spine, strict=True)]
+    R[:, 0] = trunk[0]
+    for k, j in enumerate((INDEX["spine1"], INDEX["spine2"], INDEX["spine3"]), 1):
+        R[:, j] = _between(trunk, (len(trunk) - 1) * k / 3)
+    M = {}
+    for j in range(1, 24):
+        if JOINTS[j].startswith("spine"):
+            continue
+        if j not in neutral.F:
+            R[:, j] = R[:, PARENTS[j]]
+            continue
+        parent = PARENTS[j]
+        M[j] = np.eye(3)
+        if j in roles.target:
+            i = roles.joint[j]
+            d = _local_direction(G[:, i], p[:, roles.target[j]] - p[:, i])
+            M[j] = minimal_rotation(skeleton.offsets[TARGET[j]], neutral.F[j].T @ d)
+        elif JOINTS[j].endswith(("foot", "wrist")):
+            # Nothing beyond to point at: straight on from the bone above, as in our rest pose.
+            M[j] = M.get(parent, M[j])
+        R[:, j] = neutral.U @ G[:, roles.joint[j]] @ neutral.F[j] @ M[j]
+    if INDEX["neck"] not in neutral.F and INDEX["head"] in neutral.F:
+        R[:, INDEX["neck"]] = _between([R[:, INDEX["spine3"]], R[:, INDEX["head"]]], 0.5)
+    return R
+
+
+def _local_direction(G: Array, d: Array) -> Array:
+    """Mean unit vector (3,) in the joint's frame of world vectors d (T,3)."""
+    return unit(np.einsum("tba,tb->ta", G, d).mean(axis=0))
+
+
+def _between(R: list[Array], at: float) -> Array:
+    """Geodesic interpolation at place `at` along a chain of rotations (T,3,3), 0 its first."""
+    k = min(int(at + 1e-9), len(R) - 1)
+    s = at - k
+    if s < 1e-9:
+        return R[k]
+    return R[k] @ ori.exp(s * ori.log(np.swapaxes(R[k], -1, -2) @ R[k + 1]))
+
+
+def _root_path(source: Source, roles: Roles, U: Array, R: Array, skeleton: Skeleton) -> Array:
+    """p_world_root (T,3) m: the hips' middle follows the source's, scaled; lowest foot on the floor."""
+    hips = [INDEX["left_hip"], INDEX["right_hip"]]
+    middle = source.forward[1][:, [roles.joint[h] for h in hips]].mean(axis=1) @ U.T
+    ratio = _leg(skeleton.rest_positions, {j: j for j in range(24)}) / _leg(
+        source.rest, roles.joint
+    )
+    p = ratio * middle - R[:, 0] @ skeleton.offsets[hips].mean(axis=0)
+    feet = skeleton.positions(R, p)[:, [INDEX[f"{s}_{j}"] for s in ("left", "right")
+                                        for j in ("ankle", "foot")], 1]  # fmt: skip
+    p[:, 1] += SOLE_BELOW_TOE - feet.min()
+    return p
+
+
+def _leg(rest: Array, joint: dict[int, int]) -> float:
+    """Mean length of the two legs, hip to knee to ankle."""
+    total = 0.0
+    for s in ("left", "right"):
+        hip, knee, ankle = (rest[joint[INDEX[f"{s}_{j}"]]] for j in ("hip", "knee", "ankle"))
+        total += float(np.linalg.norm(knee - hip) + np.linalg.norm(ankle - knee)) / 2
+    return total
+
+
+def _unit(source: Source, roles: Roles, scale: float | None) -> tuple[str, list[str]]:
+    """What is assumed of the file's unit, and doubts. The unit cancels in the scaled path."""
+    leg = _leg(source.rest, roles.joint)
+    body = Skeleton.default()
+    per_leg = body.stature / _leg(body.rest_positions, {j: j for j in range(24)})
+    if scale is not None:
+        if not (np.isfinite(scale) and LEG_RANGE[0] <= leg * scale <= LEG_RANGE[1]):
+            raise FormatError(
+                source.path,
+                f"at {scale:g} m per unit the legs are {leg * scale:.3g} m long, expected "
+                f"{LEG_RANGE[0]} to {LEG_RANGE[1]} m",
+            )
+        return f"length unit {scale:g} m as told (stature about {leg * scale * per_leg:.2f} m)", []
+    name = min(UNITS, key=lambda u: abs(np.log(leg * UNITS[u] * per_leg / body.stature)))
+    stature = leg * UNITS[name] * per_leg
+    if not LEG_RANGE[0] <= leg * UNITS[name] <= LEG_RANGE[1]:
+        said = "length unit unknown: the body is taken to be as tall as ours"
+        return said, [f"legs of {leg:.4g} units fit no known length unit; use --scale"]
+    doubt = [] if 1.3 <= stature <= 2.2 else [f"stature {stature:.2f} m if the unit is {name}"]
+    return f"length unit {name}, guessed from the legs (stature about {stature:.2f} m)", doubt
+
+
+def _starts_with_t_pose(source: Source, roles: Roles, U: Array) -> bool:
+    """Whether frame 0 is a T-pose that the motion leaves in one jump.
+
+    A person cannot turn a limb from rest at `JUMP_DEG_S`, so such a frame was put in by a tool. Files
+    whose motion itself starts in a T-pose are left whole.
+    """
+    if len(source) <= T_POSE_FRAMES + 1:
+        return False
+    joints = list(roles.joint.values())
+    head = source.slice(0).R_local[: T_POSE_FRAMES + 1]
+    G, p = source.forward[0][: len(head), joints], source.forward[1]
+    jump = np.degrees(ori.angle_between(G[0], G[1])).max() * source.rate_hz
+    travelled = np.degrees(ori.angle_between(G[0], G[-1])).max()
+    if jump < JUMP_DEG_S or travelled < 30.0:
+        return False
+    return _neutral.is_t_pose(p[0] @ U.T, roles, tolerance_deg=30.0)
+
+
+def _moving_bones(source: Source, roles: Roles) -> list[str]:
+    """Doubts about limb joints whose position channels change the bone's length."""
+    leg = _leg(source.rest, roles.joint)
+    inside = {i for j, i in roles.joint.items() if j}
+    for j, t in source.translations.items():
+        if j in inside and source.parents[j] >= 0 and np.ptp(t, axis=0).max() > 0.01 * leg:
+            return [
+                f"joint {source.names[j]} moves in its parent by up to {np.ptp(t, axis=0).max():.3g} "
+                f"units; the mean is used"
+            ]
+    return []
+
+
+def _backward_knees(R: Array, skeleton: Skeleton) -> list[str]:
+    """A doubt where the knees bend backward most of the time: the sides may be exchanged."""
+    for s in ("left", "right"):
+        hip, knee, ankle = (INDEX[f"{s}_{j}"] for j in ("hip", "knee", "ankle"))
+        thigh = unit(skeleton.offsets[knee])
+        shank = np.swapaxes(R[:, hip], -1, -2) @ R[:, knee] @ unit(skeleton.offsets[ankle])
+        flexion = np.cross(thigh, shank)[:, 0]
+        if np.mean(flexion < -np.sin(np.radians(10))) > 0.5:
+            return [f"the {s} knee bends backward in most frames: left and right may be exchanged"]
+    return []

@@ -1,0 +1,197 @@
+"""A foreign skeleton in motion, and which of its joints play ours."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from mocap.errors import FormatError
+from mocap.formats import _joint_names
+from mocap.orientation import Array
+from mocap.skeleton import JOINTS
+
+INDEX = {name: j for j, name in enumerate(JOINTS)}
+# The joint at the far end of each of our bones, where one bone is meant.
+TARGET = {INDEX[f"{s}_{a}"]: INDEX[f"{s}_{b}"] for s in ("left", "right") for a, b in (
+    ("hip", "knee"), ("knee", "ankle"), ("ankle", "foot"), ("collar", "shoulder"),
+    ("shoulder", "elbow"), ("elbow", "wrist"), ("wrist", "hand"))} | {INDEX["neck"]: INDEX["head"]}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """A foreign motion: K joints, parents first, lengths in the file's unit.
+
+    names: "" for what cannot be matched (ends of chains). offsets (K,3): each joint in its parent's
+    frame. R_local (T,K,3,3): R_parent_joint. translations: (T,3) by joint, where a joint moves in its
+    parent; that of joint 0 is its place in the world. given: names that the user mapped by hand.
+    """
+
+    path: Path
+    rate_hz: float
+    names: tuple[str, ...]
+    parents: tuple[int, ...]
+    offsets: Array
+    R_local: Array
+    translations: dict[int, Array]
+    given: dict[str, str] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.R_local)
+
+    def slice(self, start: int) -> Source:
+        """Without the frames before `start`."""
+        moved = {j: t[start:] for j, t in self.translations.items()}
+        return replace(self, R_local=self.R_local[start:], translations=moved)
+
+    def path_to(self, joint: int) -> list[int]:
+        """Joints from the root down to `joint`, both included."""
+        chain = [joint]
+        while self.parents[chain[-1]] >= 0:
+            chain.append(self.parents[chain[-1]])
+        return chain[::-1]
+
+    def below(self, joint: int) -> list[int]:
+        """All descendants of `joint`."""
+        inside = {joint}
+        for j, parent in enumerate(self.parents):
+            if parent in inside:
+                inside.add(j)
+        return sorted(inside - {joint})
+
+    @cached_property
+    def forward(self) -> tuple[Array, Array]:
+        """Global rotations (T,K,3,3) and positions (T,K,3) in the source's world and unit."""
+        R = np.array(self.R_local)
+        p = np.empty(R.shape[:-1])
+        for j, parent in enumerate(self.parents):
+            moved = self.translations.get(j)
+            if parent < 0:
+                p[:, j] = self.offsets[j] if moved is None else moved
+                continue
+            if moved is None:
+                p[:, j] = p[:, parent] + R[:, parent] @ self.offsets[j]
+            else:
+                p[:, j] = p[:, parent] + (R[:, parent] @ moved[..., None])[..., 0]
+            R[:, j] = R[:, parent] @ R[:, j]
+        return R, p
+
+    @cached_property
+    def rest(self) -> Array:
+        """(K,3): joint positions at zero rotation, the root at the origin."""
+        p = np.zeros_like(self.offsets)
+        for j, parent in enumerate(self.parents):
+            if parent >= 0:
+                moved = self.translations.get(j)
+                p[j] = p[parent] + (self.offsets[j] if moved is None else moved.mean(axis=0))
+        return p
+
+
+@dataclass(frozen=True, eq=False)
+class Roles:
+    """Which source joint plays which of ours.
+
+    joint: our index to the source's, for the pelvis, neck, head and limbs that exist. spine: the
+    source's joints between pelvis and arms, from below. target: the source joint (or end) at the far
+    end of each of our bones that has one.
+    """
+
+    joint: dict[int, int]
+    spine: tuple[int, ...]
+    target: dict[int, int]
+
+
+def assign(source: Source) -> Roles:
+    """The roles of a source's joints, limbs by name, pelvis and spine by structure.
+
+    Raises FormatError naming the limbs that no joint name fits, or that are not on one chain.
+    """
+    named = _joint_names.match(source.names, source.given)
+    missing = [j for j in _joint_names.REQUIRED if j not in named]
+    if missing:
+        shown = ", ".join(n for n in source.names if n)
+        raise FormatError(
+            source.path,
+            f"no joint was recognised as {', '.join(missing)} (the file names {shown[:400]})",
+        )
+    joint = {INDEX[name]: i for name, i in named.items()}
+    _check_chains(source, joint)
+    paths = [source.path_to(joint[INDEX[n]]) for n in ("left_hip", "right_hip", "left_shoulder")]
+    joint[0] = _last_common(paths)
+    for a in ("hip", "shoulder"):
+        pair = [joint[INDEX[f"{s}_{a}"]] for s in ("left", "right")]
+        width = float(np.linalg.norm(source.rest[pair[0]] - source.rest[pair[1]]))
+        if not width > 1e-3 * float(np.ptp(source.rest)):
+            raise FormatError(source.path, f"left and right {a} lie on each other")
+    if joint[0] < 0:
+        raise FormatError(source.path, "legs and arms do not hang on one root")
+    arms = [source.path_to(joint[INDEX[f"{s}_shoulder"]]) for s in ("left", "right")]
+    chest = _last_common(arms)
+    spine = tuple(i for i in source.path_to(chest) if joint[0] in source.path_to(i)[:-1])
+    for name in ("neck", "head"):
+        if INDEX[name] in joint and chest not in source.path_to(joint[INDEX[name]]):
+            del joint[INDEX[name]]
+    return Roles(joint, spine, _targets(source, joint))
+
+
+def _check_chains(source: Source, joint: dict[int, int]) -> None:
+    for a, b in TARGET.items():
+        if a not in joint or b not in joint or a in source.path_to(joint[b])[:-1]:
+            continue
+        if joint[a] in source.path_to(joint[b])[:-1]:
+            continue
+        if JOINTS[b] in _joint_names.REQUIRED:
+            names = source.names[joint[a]], source.names[joint[b]]
+            raise FormatError(
+                source.path, f"joint {names[1]!r} is not below {names[0]!r}, as {JOINTS[b]} must be"
+            )
+        del joint[a if JOINTS[a] not in _joint_names.REQUIRED else b]
+
+
+def _last_common(paths: list[list[int]]) -> int:
+    last = -1
+    for together in zip(*paths, strict=False):
+        if len(set(together)) == 1:
+            last = together[0]
+    return last
+
+
+def _targets(source: Source, joint: dict[int, int]) -> dict[int, int]:
+    hip, knee = joint[INDEX["left_hip"]], joint[INDEX["left_knee"]]
+    length = float(np.linalg.norm(source.rest[knee] - source.rest[hip]))
+    if not length > 0:
+        raise FormatError(
+            source.path, f"joint {source.names[knee]!r} lies on {source.names[hip]!r}: no thigh"
+        )
+
+    def far(a: int, candidates: Iterable[int]) -> int | None:
+        """The farthest candidate, if at least 4 % of a thigh away: shorter has no direction."""
+        span = {b: float(np.linalg.norm(source.rest[b] - source.rest[a])) for b in candidates}
+        best = max(span, key=lambda b: span[b], default=None)
+        return best if best is not None and span[best] > 0.04 * length else None
+
+    target = {}
+    for a, b in TARGET.items():
+        if a not in joint:
+            continue
+        found = far(joint[a], [joint[b]]) if b in joint else None
+        if found is None and JOINTS[a].endswith(("wrist", "ankle")):
+            below = source.below(joint[a])
+            found = far(joint[a], [i for i in below if "thumb" not in _name_above(source, i)])
+        if found is not None:
+            target[a] = found
+        elif JOINTS[a].endswith(("hip", "knee", "shoulder", "elbow")):
+            raise FormatError(
+                source.path, f"the bone from {source.names[joint[a]]!r} has no length", JOINTS[a]
+            )
+    return target
+
+
+def _name_above(source: Source, joint: int) -> str:
+    """The joint's name in lower case, or of the nearest named joint above an end."""
+    while not source.names[joint]:
+        joint = source.parents[joint]
+    return source.names[joint].lower()

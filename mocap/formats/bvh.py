@@ -1,0 +1,193 @@
+"""BVH: motion of any skeleton, read onto our 24 joints; our motion, written for other tools.
+
+Reading: `_bvh_text` parses, `_retarget` maps (joint names, bone directions, rest poses, units). A file
+that `write_motion` wrote is recognised by its joints and read back as it was, body included.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from mocap import orientation as ori
+from mocap.errors import FormatError, ShapeError
+from mocap.formats import Content, Document, Format, Options
+from mocap.formats._bvh_text import BvhFile, parse
+from mocap.formats._files import write_aside
+from mocap.formats._retarget import retarget
+from mocap.formats._source import Source
+from mocap.motion import Motion, check_rate
+from mocap.orientation import Array
+from mocap.skeleton import JOINTS, PARENTS, REST, STATURE_RANGE, Skeleton
+
+CM = 0.01
+_POSITIONS = ("xposition", "yposition", "zposition")
+_ORDER = ("zrotation", "xrotation", "yrotation")
+# Where the bones without a joint beyond them end, in m from the joint (for display only).
+_ENDS = {
+    "left_foot": (0.0, 0.0, 0.06), "right_foot": (0.0, 0.0, 0.06), "head": (0.0, 0.19, 0.0),
+    "left_hand": (0.1, 0.0, 0.0), "right_hand": (-0.1, 0.0, 0.0),
+}  # fmt: skip
+
+
+def sniff(path: Path, head: bytes) -> bool:
+    """Whether the first bytes are those of a BVH file."""
+    return head.removeprefix(b"\xef\xbb\xbf").lstrip()[:9].upper() == b"HIERARCHY"
+
+
+def read(path: Path, options: Options) -> Document:
+    """The motion in a BVH file, on our body (`options.height` or `options.smpl`, else the table's).
+
+    options.scale: m per unit of the file (else guessed from the legs). options.rate_hz overrides the
+    frame time. options.mapping: source joint name to ours, for names that are not recognised.
+    Raises FormatError naming line, joint or frame.
+    """
+    path = Path(path)
+    file = parse(path, path.read_bytes())
+    rate = file.rate_hz if options.rate_hz is None else check_rate(options.rate_hz, str(path))
+    if file.names == _OWN_NAMES and file.parents == _OWN_PARENTS and _is_ours(file):
+        return Document("bvh", _read_own(path, file, rate))
+    source = _source(path, file, rate, options)
+    done = retarget(source, _body(options), options.scale)
+    return Document("bvh", done.motion, done.assumptions, done.warnings)
+
+
+def _body(options: Options) -> Skeleton:
+    if options.smpl is None:
+        return Skeleton.default(options.height)
+    return Skeleton.from_smpl_file(options.smpl)
+
+
+def _source(path: Path, file: BvhFile, rate: float, options: Options) -> Source:
+    moving = [
+        i for i, j in enumerate(file.joints) if j.parent < 0 or set(j.channels) & set(_POSITIONS)
+    ]
+    return Source(
+        path,
+        rate,
+        file.names,
+        file.parents,
+        np.array([j.offset for j in file.joints]),
+        np.stack([file.rotations(i) for i in range(len(file.joints))], axis=1),
+        {i: file.translations(i) for i in moving},
+        options.mapping if isinstance(options.mapping, dict) else {},
+    )
+
+
+def _layout() -> tuple[tuple[str, ...], tuple[int, ...], tuple[int, ...]]:
+    """Depth-first order of our joints with the ends ("" and our joint's index) in between."""
+    names: list[str] = []
+    parents: list[int] = []
+    ours: list[int] = []
+
+    def visit(j: int, parent: int) -> None:
+        names.append(JOINTS[j])
+        parents.append(parent)
+        ours.append(j)
+        here = len(names) - 1
+        for child in (c for c, p in enumerate(PARENTS) if p == j):
+            visit(child, here)
+        if JOINTS[j] in _ENDS:
+            names.append("")
+            parents.append(here)
+            ours.append(j)
+
+    visit(0, -1)
+    return tuple(names), tuple(parents), tuple(ours)
+
+
+_OWN_NAMES, _OWN_PARENTS, _OWN_JOINTS = _layout()
+
+
+def _is_ours(file: BvhFile) -> bool:
+    """Channels as `write_motion` writes them and a rest pose like ours, in cm."""
+    rest = np.zeros((len(file.joints), 3))
+    for i, (j, ours) in enumerate(zip(file.joints, _OWN_JOINTS, strict=True)):
+        expected = _ORDER if j.parent >= 0 else (*_POSITIONS, *_ORDER)
+        if j.name and j.channels != expected:
+            return False
+        rest[i] = j.offset + (rest[j.parent] if j.parent >= 0 else 0)
+        near = np.abs(CM * rest[i] - (REST[ours] - REST[0])).max() < 0.5
+        if not near:
+            return False
+    return True
+
+
+def _read_own(path: Path, file: BvhFile, rate: float) -> Motion:
+    offsets = np.zeros((24, 3))
+    R = np.empty((len(file.values), 24, 3, 3))
+    for i, j in enumerate(file.joints):
+        if j.name:
+            offsets[_OWN_JOINTS[i]] = CM * j.offset
+            R[:, _OWN_JOINTS[i]] = file.rotations(i)
+    p = CM * file.translations(0)
+    # J0 is no part of a BVH file; it only shifts `trans` of SMPL files.
+    offsets[0] = REST[0]
+    skeleton = Skeleton(JOINTS, PARENTS, offsets)
+    if not STATURE_RANGE[0] <= skeleton.stature <= STATURE_RANGE[1]:
+        raise FormatError(path, f"stature {skeleton.stature:.3g} m, expected {STATURE_RANGE} m")
+    return Motion(rate, R, p, skeleton)
+
+
+def write_motion(path: str | Path, motion: Motion) -> None:
+    """Write a motion as BVH for Blender, Unity and others: cm, y up, the body faces +z at zero.
+
+    One ROOT with position and ZXY rotation channels (its OFFSET is zero, so the position is the
+    pelvis in the world whether a tool adds or replaces), other joints ZXY rotations in degrees.
+    Reading it back gives the same rotations to 1e-7 rad and positions to 1e-8 m.
+    """
+    if motion.skeleton.names != JOINTS:
+        raise ShapeError("BVH holds the 24-joint body only")
+    lines = ["HIERARCHY"]
+    _write_joint(lines, motion.skeleton, 0, 0)
+    angles = np.degrees(_euler_zxy(motion.R_parent_joint))
+    order = [j for name, j in zip(_OWN_NAMES, _OWN_JOINTS, strict=True) if name]
+    values = np.concatenate(
+        [motion.p_world_root / CM, angles[:, order].reshape(len(motion), -1)], axis=1
+    )
+    lines += ["MOTION", f"Frames: {len(motion)}", f"Frame Time: {1 / motion.rate_hz:.10f}"]
+    with write_aside(path) as aside, aside.open("w", encoding="ascii", newline="\n") as f:
+        f.write("\n".join(lines) + "\n")
+        np.savetxt(f, values, fmt="%.6f")
+
+
+def _write_joint(lines: list[str], skeleton: Skeleton, j: int, depth: int) -> None:
+    pad, inner = "\t" * depth, "\t" * (depth + 1)
+    offset = skeleton.offsets[j] / CM if j else np.zeros(3)
+    channels = "6 Xposition Yposition Zposition" if j == 0 else "3"
+    lines += [
+        f"{pad}{'JOINT' if j else 'ROOT'} {skeleton.names[j]}",
+        f"{pad}{{",
+        f"{inner}OFFSET {_triple(offset)}",
+        f"{inner}CHANNELS {channels} Zrotation Xrotation Yrotation",
+    ]
+    for child in (c for c, p in enumerate(skeleton.parents) if p == j):
+        _write_joint(lines, skeleton, child, depth + 1)
+    if skeleton.names[j] in _ENDS:
+        end = _triple(np.array(_ENDS[skeleton.names[j]]) / CM)
+        lines += [f"{inner}End Site", f"{inner}{{", f"{inner}\tOFFSET {end}", f"{inner}}}"]
+    lines.append(f"{pad}}}")
+
+
+def _triple(v: Array) -> str:
+    return " ".join(f"{x:.6f}" for x in v)
+
+
+def _euler_zxy(R: Array) -> Array:
+    """Angles (...,3) rad (z, x, y) with R = Rz Rx Ry; at the pole (x = +-90 deg) y is zero."""
+    x = np.arcsin(np.clip(R[..., 2, 1], -1.0, 1.0))
+    pole = np.abs(R[..., 2, 1]) > 1 - 1e-12
+    z = np.arctan2(-R[..., 0, 1], R[..., 1, 1])
+    y = np.arctan2(-R[..., 2, 0], R[..., 2, 2])
+    z = np.where(pole, np.arctan2(R[..., 1, 0], R[..., 0, 0]), z)
+    return np.stack([z, x, np.where(pole, 0.0, y)], axis=-1)
+
+
+def _write(path: Path, content: Content) -> None:
+    if not isinstance(content, Motion):
+        raise FormatError(path, "BVH holds a motion, not a recording")
+    write_motion(path, content)
+
+
+FORMAT = Format("bvh", (".bvh",), sniff, read, _write)
