@@ -21,6 +21,7 @@ import numpy as np
 
 from mocap import facing as face
 from mocap import fusion
+from mocap import headings as heads
 from mocap import orientation as ori
 from mocap import sensors as places
 from mocap.diagnostics import Finding
@@ -203,9 +204,10 @@ def calibrate(
     window = find_static(raw, at)
     fused = raw if source == "file" else fusion.with_orientation(raw)
     static = average(fused, window)
-    heading, sigma, method, said = _headings(
-        fused, static, window, joints, bones, facing, axes, second, pose == "n", arm_angle_deg
-    )
+    other = pose_bones(joints, second[0], arm_angle_deg) if second else None
+    second_at = second[1] if second else None
+    cues = _cues(fused, static, window, bones, other, facing, axes, second_at, pose == "n")
+    heading, sigma, method, said = _headings(fused, static, window, joints, cues)
     findings += said
     R_bone_sensor = np.swapaxes(bones, -1, -2) @ ori.rot_y(-heading) @ static.R_world_sensor
     result = Calibration(
@@ -228,36 +230,69 @@ def _headings(
     static: Pose,
     window: Window,
     joints: np.ndarray,
-    bones: Array,
-    facing: float | None,
-    axes: Mapping[str, str] | None,
-    second: tuple[PoseName, float] | None,
-    arms_hang: bool,
-    arm_angle_deg: float,
+    cues: list[face.Cue],
 ) -> tuple[Array, Array, str, list[Finding]]:
     """Facing phi (S,) rad in each sensor's world, its sigma (S,), the method in words, findings."""
     S = len(raw.sensors)
-    cues: list[face.Cue] = []
-    if facing is not None:
-        cues = [face.Cue("pelvis", np.radians(facing), np.radians(3.0), "facing as given")]
-    elif axes:
-        cues = face.known_axes(axes, raw, static)
-    elif second is not None:
-        other = average(raw, find_static(raw, second[1]))
-        cues = face.second_pose(
-            raw, static, other, bones, pose_bones(joints, second[0], arm_angle_deg)
-        )
-    elif raw.facing_rad is not None:
-        cues = [face.Cue("pelvis", raw.facing_rad, np.radians(5.0), "facing as the file has it")]
-    else:
-        cues = face.from_motion(raw, static, window, arms_hang)
     if not cues:
+        return np.zeros(S), np.full(S, np.pi), "assumed", [_assumed(None)]
+    if raw.common_heading:
+        phi, sigma, kept = face.combine(cues)
+        method = ", ".join(dict.fromkeys(c.method for c in kept))
+        return np.full(S, phi), np.full(S, sigma), method, []
+    relatives = heads.shared_acceleration(raw, joints)
+    all_phi, all_sigma = heads.solve(raw.sensors, cues, relatives)
+    lost = ~np.isfinite(all_phi)
+    said = [_assumed(n) for n, bad in zip(raw.sensors, lost, strict=True) if bad]
+    # What no cue reaches takes the facing of the pelvis: right at least if the worlds are one.
+    all_phi[lost] = all_phi[~lost][0]
+    used = dict.fromkeys(c.method for c in cues)
+    if relatives:
+        used["shared acceleration of neighbours"] = None
+    return all_phi, all_sigma, "own headings: " + ", ".join(used), said
+
+
+def _assumed(sensor: str | None) -> Finding:
+    if sensor is None:
         text = (
             "where the wearer faces in the pose cannot be told from the data: 0 deg in the sensors' "
             "world is ASSUMED; give the facing, a known axis, a second pose, or record walking"
         )
-        said = Finding("warning", None, "facing-assumed", text, 180.0)
-        return np.zeros(S), np.full(S, np.pi), "assumed", [said]
-    phi, sigma, kept = face.combine(cues)
-    method = ", ".join(dict.fromkeys(c.method for c in kept))
-    return np.full(S, phi), np.full(S, sigma), method, []
+    else:
+        text = (
+            f"sensor {sensor}: nothing ties its heading to the others', so its facing is ASSUMED; "
+            f"give a known axis of it, a second pose, or record walking and bending"
+        )
+    return Finding("warning", sensor, "facing-assumed", text, 180.0)
+
+
+def _cues(
+    raw: RawRecording,
+    static: Pose,
+    window: Window,
+    bones: Array,
+    other_bones: Array | None,
+    facing: float | None,
+    axes: Mapping[str, str] | None,
+    second_at: float | None,
+    arms_hang: bool,
+) -> list[face.Cue]:
+    """What tells the facing, the declared before the measured.
+
+    With a common heading one declared fact is enough and the motion is left out; sensors with headings
+    of their own need every cue there is.
+    """
+    cues: list[face.Cue] = []
+    first = face.pelvis_first(raw.sensors)
+    if facing is not None:
+        cues.append(face.Cue(first, float(np.radians(facing)), np.radians(3.0), "facing as given"))
+    if axes:
+        cues += face.known_axes(axes, raw, static)
+    if second_at is not None and other_bones is not None:
+        other = average(raw, find_static(raw, second_at))
+        cues += face.second_pose(raw, static, other, bones, other_bones)
+    if not cues and raw.facing_rad is not None:
+        cues.append(face.Cue(first, raw.facing_rad, np.radians(5.0), "facing as the file has it"))
+    if not cues or not raw.common_heading:
+        cues += face.from_motion(raw, static, window, arms_hang)
+    return cues

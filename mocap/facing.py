@@ -42,8 +42,9 @@ DIRECTIONS = {"forward": 0.0, "left": np.pi / 2, "back": np.pi, "right": -np.pi 
 # who walk or squat (feet point outward, arms swing inward), beyond what averaging can tell.
 HINGE_FLOOR = {"thigh": 8.0, "pocket": 8.0, "shank": 7.0, "foot": 12.0, "upper_arm": 20.0}
 HINGE_SIGN = {"thigh": 1.0, "pocket": 1.0, "shank": -1.0, "foot": -1.0, "upper_arm": 1.0}
-LEAN = {"pelvis": 10.0, "lower_back": 10.0, "upper_back": 10.0, "sternum": 10.0, "head": 20.0}
-FOREARMS = {"forearm": 25.0, "wrist": 25.0}
+# Not the pelvis: it tips backward in sitting and leg raising as far as forward in bending.
+LEAN = {"lower_back": 10.0, "upper_back": 10.0, "sternum": 10.0, "head": 20.0}
+FOREARMS = {"forearm": 45.0, "wrist": 45.0}  # elbows bend forward and inward
 POSE_FLOOR_DEG = 6.0  # how exactly people raise their arms to the side
 KNOWN_FLOOR_DEG = 5.0  # how exactly a sensor is strapped on
 

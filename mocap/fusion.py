@@ -67,10 +67,10 @@ def fuse(
         ok = raw.valid[:, s]
         if ok.sum() < 2:
             raise CalibrationError(f"sensor {name}: fewer than two valid samples, nothing to fuse")
-        gyr, acc = _bridged(raw.gyr[:, s], ok), _bridged(raw.acc[:, s], ok)
+        gyr, acc = bridged(raw.gyr[:, s], ok), bridged(raw.acc[:, s], ok)
         field = None
         if mag is not None:
-            field = _bridged(mag[:, s], ok & np.isfinite(mag[:, s]).all(-1))
+            field = bridged(mag[:, s], ok & np.isfinite(mag[:, s]).all(-1))
         out = _run(gyr, acc, field, 1.0 / raw.rate_hz, method, dict(parameters or {}))
         quat = out["quat6D" if field is None else "quat9D"]
         R[ok, s] = ori.R_YUP_ZUP @ ori.from_quat(quat[ok])
@@ -111,7 +111,7 @@ def _magnetometers(raw: RawRecording, use_mag: bool | None) -> Array | None:
     return raw.mag if usable.all() and use_mag is not False else None
 
 
-def _bridged(x: Array, ok: Bool) -> Array:
+def bridged(x: Array, ok: Bool) -> Array:
     """(T,3) with the samples that are not `ok` on straight lines between their neighbours."""
     if ok.all():
         return np.ascontiguousarray(x)
