@@ -93,6 +93,9 @@ class RawRecording:
                     f"(orthonormal, right-handed)"
                 )
             put(self, "R_world_sensor", R)
+            # A sensor that delivers orientation alone (some exports do) counts by its orientation.
+            blind = ~np.isfinite(self.acc).any((0, 2))
+            finite = np.where(blind, has, finite)
         valid = np.ones((T, S), bool) if self.valid is None else np.array(self.valid, bool)
         if valid.shape != (T, S):
             raise ShapeError(f"RawRecording: valid must be {(T, S)}, got {valid.shape}")

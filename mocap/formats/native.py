@@ -27,7 +27,9 @@ _COMMON = (
 _RECORDING = (
     *_COMMON, "R_world_bone", "acc_world", "placement", "joint", "calibration", "noise", "notes",
 )  # fmt: skip
-_RAW = (*_COMMON, "gyr", "acc", "mag", "R_world_sensor", "truth")
+_RAW = (
+    *_COMMON, "gyr", "acc", "mag", "R_world_sensor", "truth", "facing_rad", "common_heading",
+)  # fmt: skip
 
 
 def read_recording(path: str | Path, options: Options | None = None) -> Recording:
@@ -89,6 +91,10 @@ def read_raw(path: str | Path, options: Options | None = None) -> RawRecording:
         reference=_reference(fields, rate, T, options),
         truth=fields.mapping("truth"),
         start_s=fields.number("start_s") if "start_s" in fields else 0.0,
+        facing_rad=fields.number("facing_rad") if "facing_rad" in fields else None,
+        common_heading=bool(fields.number("common_heading"))
+        if "common_heading" in fields
+        else True,
     )
 
 
@@ -134,6 +140,10 @@ def write_raw(path: str | Path, raw: RawRecording) -> None:
         arrays["mag"] = raw.mag.astype(np.float32)
     if raw.R_world_sensor is not None:
         arrays["R_world_sensor"] = raw.R_world_sensor.astype(np.float32)
+    if raw.facing_rad is not None:
+        arrays["facing_rad"] = raw.facing_rad
+    if not raw.common_heading:
+        arrays["common_heading"] = 0
     if raw.truth is not None:
         arrays["truth"] = _json(raw.truth)
     _write(Path(path), arrays, raw.reference)

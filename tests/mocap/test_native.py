@@ -53,6 +53,8 @@ def _raw(rng: np.random.Generator) -> RawRecording:
         reference=motion,
         truth={"R_bone_sensor": np.eye(3)},
         start_s=40.0,
+        facing_rad=0.3,
+        common_heading=False,
     )
 
 
@@ -97,6 +99,7 @@ def test_raw_returns(rng: np.random.Generator, tmp_path: Path) -> None:
     write_raw(tmp_path / "r.npz", first)
     back = read_raw(tmp_path / "r.npz")
     assert back.sensors == first.sensors and back.start_s == 40.0
+    assert back.facing_rad == 0.3 and back.common_heading is False
     for name in ("gyr", "acc", "mag", "R_world_sensor"):
         np.testing.assert_allclose(getattr(back, name), getattr(first, name), atol=1e-6)
     assert back.truth == {"R_bone_sensor": np.eye(3).tolist()}

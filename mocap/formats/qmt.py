@@ -1,0 +1,227 @@
+"""The full-body example of qmt: a MATLAB file with raw IMU data and segment orientations.
+
+`t` s; per segment `acc` m/s^2 and `gyr` rad/s in the sensor's frame, and `quat` (wxyz), the segment's
+orientation in a z-up world. The constant rotation between sensor and segment is not in the file; it is
+fitted here: quat turns by Exp(R_segment_sensor gyr / rate) from one sample to the next, and
+R_world_segment R_segment_sensor turns gravity upright.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.io import loadmat, whosmat
+
+from mocap import orientation as ori
+from mocap.errors import CalibrationError, FormatError
+from mocap.formats import Document, Format, Options, _checks
+from mocap.orientation import Array
+from mocap.recording import RawRecording
+from mocap.static_pose import find_static
+
+PLACES: dict[str, str] = {
+    "hip": "pelvis",
+    "lower_back": "lower_back",
+    "upper_back": "upper_back",
+    "head": "head",
+    **{
+        f"{theirs}_{side}": f"{side}_{ours}"
+        for theirs, ours in (
+            ("upper_leg", "thigh"), ("lower_leg", "shank"), ("foot", "foot"),
+            ("upper_arm", "upper_arm"), ("forearm", "forearm"), ("hand", "hand"),
+        )
+        for side in ("left", "right")
+    },
+}  # fmt: skip
+"""Segment names of the file and the places of the table."""
+
+MAX_SAMPLES = 10_000_000  # of one variable; a day at 100 Hz
+SETTLING = 0.25  # rad/s between quat and gyr, above which the file's filter has not settled
+_ISB = ("pelvis", "lower_back", "upper_back", "thigh", "shank")
+DOUBT = 0.15  # relative residual of the fit that is worth a warning
+
+
+def fit_mounting(
+    R_world_segment: Array, gyr: Array, acc: Array, rate_hz: float
+) -> tuple[Array, float]:
+    """R_segment_sensor (3,3) and its residual, from R_world_segment (T,3,3), gyr and acc (T,3).
+
+    Minimises sum |w_k - Q gyr_k - b|^2 with w_k = Log(R_{k-1}^T R_k) rate over Q in SO(3) and the
+    constant b (Wahba's problem, by SVD), with frames that fit badly weighted down (Huber); then
+    quiet frames add |R^T e_y - Q acc/|acc||^2 of the low-passed acc with equal total weight. The
+    residual is the root mean square of w - Q gyr over that of w, each frame cut at Huber's bound.
+    NaN where fewer than two frames have both.
+    """
+    w = ori.log(np.swapaxes(R_world_segment[:-1], -1, -2) @ R_world_segment[1:]) * rate_hz
+    g = gyr[1:]
+    ok = np.isfinite(w).all(-1) & np.isfinite(g).all(-1)
+    w, g = w[ok], g[ok]
+    if len(w) < 2:
+        return np.full((3, 3), np.nan), np.nan
+    gravity = _gravity_pairs(R_world_segment, gyr, acc, rate_hz)
+    weight, bound = np.ones(len(w)), np.inf
+    Q = np.eye(3)
+    for _ in range(10):
+        wc = w - np.average(w, axis=0, weights=weight)
+        gc = g - np.average(g, axis=0, weights=weight)
+        H = (wc * weight[:, None]).T @ gc / max((weight * (wc**2).sum(-1)).sum(), 1e-12)
+        Q = ori.project(H + gravity)
+        off = np.linalg.norm(wc - gc @ Q.T, axis=1)
+        bound = 3 * 1.48 * float(np.median(off)) + 1e-6
+        weight = np.minimum(1.0, bound / np.maximum(off, 1e-12))
+    off = np.minimum(off, bound)
+    return Q, float(np.sqrt((off**2).sum() / max((w**2).sum(), 1e-12)))
+
+
+def _gravity_pairs(R: Array, gyr: Array, acc: Array, rate_hz: float) -> Array:
+    """Mean over quiet frames of (up in the segment) (up in the sensor)^T: (3,3); zero without any."""
+    n = max(1, round(0.5 * rate_hz))
+    if len(acc) < 4 * n:
+        return np.zeros((3, 3))
+    smooth, turning = _checks.smoothed(acc, n), _checks.smoothed(np.abs(gyr), n)
+    size = np.linalg.norm(smooth, axis=1)
+    with np.errstate(invalid="ignore"):
+        quiet = (np.abs(size - ori.GRAVITY) < 0.5) & (np.linalg.norm(turning, axis=1) < 0.5)
+    quiet[: 2 * n] = quiet[-2 * n :] = False  # the moving average has no full window there
+    quiet &= np.isfinite(R[:, 1]).all(-1)
+    if not quiet.any():
+        return np.zeros((3, 3))
+    up_segment = R[quiet, 1, :]
+    up_sensor = smooth[quiet] / size[quiet, None]
+    return up_segment.T @ up_sensor / int(quiet.sum())
+
+
+def _settled(R_world_sensor: Array, gyr: Array, rate_hz: float) -> int:
+    """First frame from which the orientation follows gyr: the start, unless a filter was settling."""
+    n = min(len(gyr), round(2 * rate_hz))
+    w = ori.log(np.swapaxes(R_world_sensor[: n - 1], -1, -2) @ R_world_sensor[1:n]) * rate_hz
+    off = np.linalg.norm(w - gyr[1:n], axis=-1)
+    follows = np.flatnonzero(~(off > SETTLING))
+    return int(follows[0]) if len(follows) and follows[0] > 0 else 0
+
+
+def _facing(rec: RawRecording, R_world_segment: Array) -> tuple[float | None, list[str]]:
+    """Heading (rad) of the wearer's forward in the static pose, and what was assumed for it.
+
+    Trunk and leg segments have ISB axes, x forward, y up, in the N-pose; None where they do not agree.
+    """
+    axes = [s for s, name in enumerate(rec.sensors) if name.endswith(_ISB)]
+    try:
+        window = find_static(rec)
+    except CalibrationError:
+        return None, []
+    R = R_world_segment[window.start : window.stop, axes]
+    if not R.size or not np.isfinite(R).all():
+        return None, []
+    x = R[..., 0].mean(axis=0)
+    mean = x.mean(axis=0)
+    if min(np.hypot(mean[0], mean[2]), float(R[..., 1, 1].mean())) < 0.85:
+        return None, []
+    heading = float(np.arctan2(mean[0], mean[2]))
+    a, b = window.seconds(rec)
+    return heading, [
+        f"the wearer faces {np.rad2deg(heading):.0f} deg in the static pose at {a:.1f} to {b:.1f} s: the x "
+        f"axes of trunk and legs there"
+    ]
+
+
+def _load(path: Path) -> dict[str, Any]:
+    try:
+        listed = whosmat(path)
+        big = [n for n, shape, _ in listed if np.prod([float(k) for k in shape]) > MAX_SAMPLES]
+        if big:
+            raise FormatError(
+                path, f"declares more than {MAX_SAMPLES} values", f"variable {big[0]!r}"
+            )
+        known = [n for n, _, kind in listed if n == "t" or kind == "struct"]
+        return loadmat(path, squeeze_me=True, struct_as_record=False, variable_names=known)
+    except FormatError:
+        raise
+    # scipy's readers raise whatever the bytes make them run into.
+    except Exception as e:
+        raise FormatError(path, "not a whole MATLAB 5 file: damaged or cut short") from e
+
+
+def _field(
+    path: Path, data: dict[str, Any], segment: str, name: str, shape: tuple[int, int]
+) -> Array:
+    value = getattr(data[segment], name, None)
+    where = f"segment {segment}: {name}"
+    if value is None:
+        raise FormatError(path, "missing", where)
+    array = np.asarray(value)
+    if array.dtype.kind not in "fiu" or array.shape != shape:
+        raise FormatError(path, f"is {array.dtype} {array.shape}, expected real {shape}", where)
+    return array.astype(float)
+
+
+def _read(path: Path, options: Options) -> Document:
+    data = _load(path)
+    given = options.mapping if isinstance(options.mapping, dict) else {}
+    names = {**PLACES, **given}
+    segments = [n for n in names if n in data and hasattr(data[n], "_fieldnames")]
+    if "t" not in data or not segments:
+        raise FormatError(path, f"no variable t and no segment among {', '.join(PLACES)}")
+    t = np.atleast_1d(np.asarray(data["t"]))
+    if t.dtype.kind not in "fiu" or t.ndim != 1:
+        raise FormatError(path, f"is {t.dtype} {t.shape}, expected (T,) seconds", "variable t")
+    rate, frames, doubts = _checks.grid(path, t.astype(float), "variable t")
+    if len(frames) != frames[-1] + 1:
+        raise FormatError(path, "has gaps, expected a constant rate", "variable t")
+    sensors = tuple(names[n] for n in segments)
+    shapes = (("acc", 3), ("gyr", 3), ("quat", 4))
+    acc, gyr, quat = (
+        np.stack([_field(path, data, n, f, (len(t), k)) for n in segments], axis=1)
+        for f, k in shapes
+    )
+    R_segment, zeros = _checks.quaternions(path, quat, sensors, "quat")
+    if zeros:
+        doubts.append(f"{zeros} quaternions are zero, read as missing")
+    R_segment = ori.R_YUP_ZUP @ R_segment
+    R, fitted = _mount(R_segment, gyr, acc, rate, sensors)
+    doubts += [
+        f"sensor {n}: {e:.0%} residual of the mounting fit" for n, e in fitted.items() if e > DOUBT
+    ]
+    settled = [_settled(R[:, s], gyr[:, s], rate) for s in range(len(sensors))]
+    valid = np.arange(len(t))[:, None] >= np.array(settled)
+    if max(settled):
+        doubts.append(
+            f"the file's orientations have not settled before frame {max(settled)}: those samples "
+            f"are marked invalid"
+        )
+    rec = RawRecording(rate, sensors, gyr, acc, R_world_sensor=R, valid=valid, start_s=float(t[0]))
+    facing, assumed = _facing(rec, R_segment)
+    rec = replace(rec, facing_rad=facing)
+    found = ", ".join(f"{n} {e:.1%}" for n, e in fitted.items())
+    return Document(
+        "qmt",
+        rec,
+        (
+            "world is z-up in the file, y-up here",
+            "quat is the segment's orientation; the constant rotation to the sensor is fitted to gyr and "
+            f"gravity, residual of the rate: {found}",
+            *assumed,
+        ),
+        tuple(dict.fromkeys(doubts + _checks.raw(path, rec))),
+    )
+
+
+def _mount(
+    R_segment: Array, gyr: Array, acc: Array, rate_hz: float, sensors: tuple[str, ...]
+) -> tuple[Array, dict[str, float]]:
+    """R_world_sensor (T,S,3,3) of R_world_segment, and the fit's residual by sensor."""
+    R, residual = np.empty_like(R_segment), {}
+    for s, name in enumerate(sensors):
+        Q, residual[name] = fit_mounting(R_segment[:, s], gyr[:, s], acc[:, s], rate_hz)
+        R[:, s] = R_segment[:, s] @ Q
+    return R, residual
+
+
+def _sniff(path: Path, head: bytes) -> bool:
+    return head.startswith(b"MATLAB 5.0")
+
+
+FORMAT = Format("qmt", (".mat",), _sniff, _read)
