@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import io
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from mocap.errors import FormatError
 from mocap.orientation import Array
@@ -59,17 +59,26 @@ class BvhFile:
         start = sum(len(j.channels) for j in self.joints[:joint])
         return slice(start, start + len(self.joints[joint].channels))
 
-    def rotations(self, joint: int) -> Array:
-        """(T,3,3): R_parent_joint, the product of the channels' rotations in the order listed."""
-        channels, values = self.joints[joint].channels, self.values[:, self.columns(joint)]
-        turns = [
-            (c[0].upper(), values[:, i]) for i, c in enumerate(channels) if c[1:] == "rotation"
-        ]
-        if not turns:
-            return np.broadcast_to(np.eye(3), (len(self.values), 3, 3))
-        angles = np.column_stack([a for _, a in turns])
-        order = "".join(axis for axis, _ in turns)
-        return Rotation.from_euler(order, angles, degrees=True).as_matrix()
+    def rotations(self, joints: Sequence[int]) -> Array:
+        """(T,len(joints),3,3): R_parent_joint, the product of a joint's rotations in the order listed."""
+        R = np.empty((len(self.values), len(joints), 3, 3))
+        R[:] = np.eye(3)
+        by_order: dict[str, list[int]] = {}
+        for k, j in enumerate(joints):
+            order = "".join(c[0] for c in self.joints[j].channels if c[1:] == "rotation")
+            by_order.setdefault(order, []).append(k)
+        for order, members in by_order.items():
+            if not order:
+                continue
+            columns = [self._rotation_columns(joints[k]) for k in members]
+            angles = np.radians(self.values[:, columns])
+            R[:, members] = euler(order, angles)
+        return R
+
+    def _rotation_columns(self, joint: int) -> list[int]:
+        start = self.columns(joint).start
+        channels = self.joints[joint].channels
+        return [start + i for i, c in enumerate(channels) if c[1:] == "rotation"]
 
     def translations(self, joint: int) -> Array:
         """(T,3): the joint in its parent's frame, file units.
@@ -84,6 +93,18 @@ class BvhFile:
             if c[1:] == "position":
                 out[:, "xyz".index(c[0])] = values[:, i]
         return out
+
+
+def euler(order: str, angles: Array) -> Array:
+    """Rotations (...,3,3) by `angles` (...,n) rad about the axes of `order` ("zxy"): Rz Rx Ry."""
+    R = np.zeros((*angles.shape[:-1], 3, 3))
+    R[..., [0, 1, 2], [0, 1, 2]] = 1.0
+    for k, axis in enumerate(order):
+        # R Rot(axis, a) mixes the two columns that follow the axis.
+        i, j = (("xyz".index(axis) + n) % 3 for n in (1, 2))
+        c, s = (f(angles[..., k])[..., None] for f in (np.cos, np.sin))
+        R[..., i], R[..., j] = c * R[..., i] + s * R[..., j], c * R[..., j] - s * R[..., i]
+    return R
 
 
 def parse(path: Path, data: bytes) -> BvhFile:

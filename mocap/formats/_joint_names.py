@@ -76,7 +76,7 @@ def match(names: Sequence[str], given: dict[str, str] | None = None) -> dict[str
     wanted += [(j, ("", s)) for j, s in _CENTRE]
     for joint, (side, stems) in wanted:
         for stem in stems:
-            i = by_name.get((side, stem))
-            if joint not in ours and i is not None and i not in ours.values():
-                ours[joint] = i
+            found = by_name.get((side, stem))
+            if joint not in ours and found is not None and found not in ours.values():
+                ours[joint] = found
     return ours

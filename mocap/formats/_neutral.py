@@ -94,19 +94,17 @@ def _body_axes(p: Array, roles: Roles, snap: bool) -> Array | None:
 
 def _snapped(F: Array) -> tuple[Array, float]:
     """The nearest rotation that permutes axes, and how far it is in deg; F itself beyond SNAP_DEG."""
-    best, near = F, np.inf
-    for P in _PERMUTATIONS:
-        off = float(np.degrees(ori.angle_between(F, P)))
-        if off < near:
-            best, near = P, off
-    return (best, near) if near <= SNAP_DEG else (F, near)
+    # tr(F^T P) = 1 + 2 cos(angle)
+    best = _PERMUTATIONS[int(np.argmax(np.einsum("ab,nab->n", F, _PERMUTATIONS)))]
+    off = float(np.degrees(ori.angle_between(F, best)))
+    return (best, off) if off <= SNAP_DEG else (F, off)
 
 
-def _permutations() -> tuple[Array, ...]:
-    """The 24 rotations that take coordinate axes to coordinate axes."""
+def _permutations() -> Array:
+    """The 24 rotations (24,3,3) that take coordinate axes to coordinate axes."""
     axes = [s * a for a in np.eye(3) for s in (1.0, -1.0)]
-    return tuple(
-        np.column_stack([a, b, np.cross(a, b)]) for a in axes for b in axes if abs(a @ b) < 0.5
+    return np.array(
+        [np.column_stack([a, b, np.cross(a, b)]) for a in axes for b in axes if abs(a @ b) < 0.5]
     )
 
 
@@ -169,44 +167,73 @@ def is_t_pose(p: Array, roles: Roles, tolerance_deg: float) -> bool:
 
 
 def _from_geometry(source: Source, roles: Roles, U: Array) -> Neutral:
-    """Neutral frames of a skeleton without a known pose: see the functions below."""
+    """Neutral frames of a skeleton without a known pose.
+
+    Pelvis and chest: from where the limbs attach. Thigh, upper arm, foot: from the bone and the hinge it
+    bends about. Shank, forearm, hand: as the bone above, where zero rotation means straight on. All
+    others: turning, on average, with the joint above. Exporters lay local axes along anatomical ones,
+    so what comes near to a permutation of axes is taken for it: clips of one rig then agree exactly.
+    """
     G, p = source.forward
     F: dict[int, Array] = {}
     doubts: list[str] = []
 
-    def snap(j: int, F_j: Array) -> Array:
-        snapped, off = _snapped(F_j)
-        if off > SNAP_DEG:
-            doubts.append(f"the axes of {source.names[roles.joint.get(j, 0)]} fit no body axis "
-                          f"(off by {off:.0f} deg); its twist comes from the mean posture")  # fmt: skip
-        return snapped
+    def snap(i: int, F_i: Array, within: float = SNAP_DEG) -> Array:
+        snapped, off = _snapped(F_i)
+        if off <= within:
+            return snapped
+        doubts.append(
+            f"the local axes of {source.names[i]} lie {off:.0f} deg off the body's, so its twist is "
+            f"that of the mean posture"
+        )
+        return F_i
 
-    F[0] = snap(0, _trunk_frame(source, roles, roles.joint[0], ("hip", "hip")))
-    # Downward from the pelvis, then back to it from the chest, whose frame the arms define.
-    spine = [_like(G[:, i], G[:, roles.joint[0]] @ F[0]) for i in roles.spine]
-    if roles.spine:
+    F[0] = snap(roles.joint[0], _trunk_frame(source, roles, roles.joint[0], ("hip", "hip")))
+    pelvis = G[:, roles.joint[0]] @ F[0]
+    spine = [_like(G[:, i], pelvis) for i in roles.spine]
+    if spine:
         spine[-1] = _trunk_frame(source, roles, roles.spine[-1], ("shoulder", "collar"))
-    F_spine = tuple(snap(INDEX["spine3"], f) for f in spine)
-    chest = G[:, roles.spine[-1]] @ F_spine[-1] if roles.spine else G[:, roles.joint[0]] @ F[0]
-    for j in sorted(roles.joint):
-        if j == 0:
+    F_spine = tuple(snap(i, f) for i, f in zip(roles.spine, spine, strict=True))
+    chest = G[:, roles.spine[-1]] @ F_spine[-1] if spine else pelvis
+    for j in sorted(set(roles.joint) - {0}):
+        name, i, parent = JOINTS[j], roles.joint[j], PARENTS[j]
+        if (
+            parent in F
+            and name.endswith(("knee", "elbow", "wrist"))
+            and _straight(source, roles, j, F)
+        ):
+            F[j] = F[parent]
             continue
-        name = JOINTS[j]
         h = _hinge(source, roles, name) if name.endswith(_HINGED) else None
         if h is not None:
-            i = roles.joint[j]
             d = np.einsum("tba,tb->ta", G[:, i], p[:, roles.target[j]] - p[:, i]).mean(axis=0)
-            ours = frame(*_OUR_LIMBS[name])
-            F[j] = snap(j, frame(d, h) @ ours.T)
+            F[j] = snap(i, frame(d, h), within=25.0) @ frame(*_OUR_LIMBS[name]).T
             continue
-        parent = PARENTS[j]
         above = G[:, roles.joint[parent]] @ F[parent] if parent in F else chest
-        F[j] = snap(j, _like(G[:, roles.joint[j]], above))
+        F[j] = snap(i, _like(G[:, i], above))
     said = (
         "zero rotations are no rest pose: each joint's axes are found from the bones' geometry and the "
         "hinges of knees and elbows"
     )
     return Neutral(U, F, F_spine, said, tuple(doubts))
+
+
+def _straight(source: Source, roles: Roles, j: int, F: dict[int, Array]) -> bool:
+    """Whether zero rotation of joint j continues the bone above it straight on.
+
+    Where nothing lies beyond the joint to tell by (a hand without fingers), whether it turns, on
+    average, less than 75 deg from the bone above.
+    """
+    G, p = source.forward
+    i, parent = roles.joint[j], PARENTS[j]
+    if j in roles.target:
+        d = np.einsum("tba,tb->ta", G[:, i], p[:, roles.target[j]] - p[:, i]).mean(axis=0)
+        above = np.einsum(
+            "tba,tb->ta", G[:, roles.joint[parent]], p[:, i] - p[:, roles.joint[parent]]
+        ).mean(axis=0)
+        return bool(unit(d) @ unit(above) > np.cos(np.radians(20)))
+    mean = ori.mean(np.swapaxes(G[:, roles.joint[parent]], -1, -2) @ G[:, i])
+    return bool(ori.angle(mean) < np.radians(75))
 
 
 def _trunk_frame(source: Source, roles: Roles, i: int, ends: tuple[str, str]) -> Array:
@@ -279,4 +306,4 @@ def _hinge(source: Source, roles: Roles, name: str) -> Array | None:
     u = unit(p[:, roles.target[a]] - p[:, roles.joint[a]])
     v = unit(p[:, roles.target[b]] - p[:, roles.joint[b]])
     h = np.einsum("tba,tb->ta", G[:, roles.joint[INDEX[name]]], np.cross(u, v)).mean(axis=0)
-    return h if np.linalg.norm(h) > np.sin(np.radians(3)) else None
+    return h if np.linalg.norm(h) > np.sin(np.radians(1)) else None

@@ -16,9 +16,11 @@ from mocap.skeleton import JOINTS
 
 INDEX = {name: j for j, name in enumerate(JOINTS)}
 # The joint at the far end of each of our bones, where one bone is meant.
-TARGET = {INDEX[f"{s}_{a}"]: INDEX[f"{s}_{b}"] for s in ("left", "right") for a, b in (
-    ("hip", "knee"), ("knee", "ankle"), ("ankle", "foot"), ("collar", "shoulder"),
-    ("shoulder", "elbow"), ("elbow", "wrist"), ("wrist", "hand"))} | {INDEX["neck"]: INDEX["head"]}  # fmt: skip
+_BONES = (("hip", "knee"), ("knee", "ankle"), ("ankle", "foot"), ("collar", "shoulder"),
+          ("shoulder", "elbow"), ("elbow", "wrist"), ("wrist", "hand"))  # fmt: skip
+TARGET = {INDEX[f"{s}_{a}"]: INDEX[f"{s}_{b}"] for s in ("left", "right") for a, b in _BONES} | {
+    INDEX["neck"]: INDEX["head"]
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +48,18 @@ class Source:
         """Without the frames before `start`."""
         moved = {j: t[start:] for j, t in self.translations.items()}
         return replace(self, R_local=self.R_local[start:], translations=moved)
+
+    def only(self, joints: list[int]) -> Source:
+        """With those joints alone; the parent of each must be among them."""
+        new = {j: k for k, j in enumerate(joints)}
+        return replace(
+            self,
+            names=tuple(self.names[j] for j in joints),
+            parents=tuple(new.get(self.parents[j], -1) for j in joints),
+            offsets=self.offsets[joints],
+            R_local=self.R_local[:, joints],
+            translations={new[j]: t for j, t in self.translations.items() if j in new},
+        )
 
     def path_to(self, joint: int) -> list[int]:
         """Joints from the root down to `joint`, both included."""
@@ -102,6 +116,12 @@ class Roles:
     joint: dict[int, int]
     spine: tuple[int, ...]
     target: dict[int, int]
+
+
+def needed(source: Source, roles: Roles) -> list[int]:
+    """The joints that the roles' kinematics depend on (not fingers, eyes or props)."""
+    ends = {*roles.joint.values(), *roles.target.values()}
+    return sorted({i for end in ends for i in source.path_to(end)})
 
 
 def assign(source: Source) -> Roles:

@@ -6,17 +6,17 @@ that `write_motion` wrote is recognised by its joints and read back as it was, b
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from mocap import orientation as ori
 from mocap.errors import FormatError, ShapeError
 from mocap.formats import Content, Document, Format, Options
 from mocap.formats._bvh_text import BvhFile, parse
 from mocap.formats._files import write_aside
 from mocap.formats._retarget import retarget
-from mocap.formats._source import Source
+from mocap.formats._source import Source, assign, needed
 from mocap.motion import Motion, check_rate
 from mocap.orientation import Array
 from mocap.skeleton import JOINTS, PARENTS, REST, STATURE_RANGE, Skeleton
@@ -60,19 +60,22 @@ def _body(options: Options) -> Skeleton:
 
 
 def _source(path: Path, file: BvhFile, rate: float, options: Options) -> Source:
+    """The joints that matter, with their rotations computed."""
     moving = [
         i for i, j in enumerate(file.joints) if j.parent < 0 or set(j.channels) & set(_POSITIONS)
     ]
-    return Source(
+    still = Source(
         path,
         rate,
         file.names,
         file.parents,
         np.array([j.offset for j in file.joints]),
-        np.stack([file.rotations(i) for i in range(len(file.joints))], axis=1),
+        np.empty((0, len(file.joints), 3, 3)),
         {i: file.translations(i) for i in moving},
         options.mapping if isinstance(options.mapping, dict) else {},
     )
+    joints = needed(still, assign(still))
+    return replace(still.only(joints), R_local=file.rotations(joints))
 
 
 def _layout() -> tuple[tuple[str, ...], tuple[int, ...], tuple[int, ...]]:
@@ -117,10 +120,10 @@ def _is_ours(file: BvhFile) -> bool:
 def _read_own(path: Path, file: BvhFile, rate: float) -> Motion:
     offsets = np.zeros((24, 3))
     R = np.empty((len(file.values), 24, 3, 3))
-    for i, j in enumerate(file.joints):
-        if j.name:
-            offsets[_OWN_JOINTS[i]] = CM * j.offset
-            R[:, _OWN_JOINTS[i]] = file.rotations(i)
+    joints = [i for i, j in enumerate(file.joints) if j.name]
+    ours = [_OWN_JOINTS[i] for i in joints]
+    offsets[ours] = CM * np.array([file.joints[i].offset for i in joints])
+    R[:, ours] = file.rotations(joints)
     p = CM * file.translations(0)
     # J0 is no part of a BVH file; it only shifts `trans` of SMPL files.
     offsets[0] = REST[0]
