@@ -14,18 +14,19 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 
+from mocap import diagnostics as checks
 from mocap import facing as face
 from mocap import fusion
 from mocap import headings as heads
 from mocap import orientation as ori
 from mocap import sensors as places
-from mocap.diagnostics import Finding
 from mocap.errors import CalibrationError
+from mocap.findings import Finding
 from mocap.orientation import Array
 from mocap.recording import RawRecording, Recording
 from mocap.static_pose import Pose, Window, average, find_static
@@ -200,7 +201,9 @@ def calibrate(
     if orientation == "file" and raw.R_world_sensor is None:
         raise CalibrationError("the recording carries no orientation: use orientation='vqf'")
     source = "file" if raw.R_world_sensor is not None and orientation != "vqf" else "vqf"
-    findings: list[Finding] = []
+    findings = checks.check_before(raw if source == "file" else replace(raw, R_world_sensor=None))
+    if strict and any(f.severity == "error" for f in findings):
+        raise CalibrationError(checks.summary(findings))
     window = find_static(raw, at)
     fused = raw if source == "file" else fusion.with_orientation(raw)
     static = average(fused, window)
@@ -209,6 +212,7 @@ def calibrate(
     cues = _cues(fused, static, window, bones, other, facing, axes, second_at, pose == "n")
     heading, sigma, method, said = _headings(fused, static, window, joints, cues)
     findings += said
+    findings += checks.check_result(fused, window, static, heading, sigma, pose)
     R_bone_sensor = np.swapaxes(bones, -1, -2) @ ori.rot_y(-heading) @ static.R_world_sensor
     result = Calibration(
         raw.sensors,
@@ -220,7 +224,7 @@ def calibrate(
         window.seconds(raw),
         method,
         source,
-        tuple(findings),
+        tuple(checks.ordered(findings)),
     )
     return result._apply(fused), result
 

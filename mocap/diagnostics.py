@@ -2,26 +2,153 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING
 
-Severity = Literal["error", "warning", "info"]
+import numpy as np
+
+from mocap import body_checks, fusion, sensor_checks
+from mocap import facing as face
+from mocap import sensors as places
+from mocap.findings import Finding, Severity
+from mocap.recording import RawRecording, gaps
+from mocap.static_pose import Pose, Window, average
+
+if TYPE_CHECKING:
+    from mocap.calibration import Calibration
+
+__all__ = ["Finding", "Severity", "check_before", "check_result", "diagnose", "ordered", "summary"]
+
+UNCERTAIN_DEG = 15.0
+ORDER = {"error": 0, "warning": 1, "info": 2}
 
 
-@dataclass(frozen=True)
-class Finding:
-    """One thing to know. severity: "error" (the result would be wrong), "warning" or "info".
+def diagnose(raw: RawRecording, calibration: Calibration | None = None) -> list[Finding]:
+    """Everything that can be said of `raw`, errors first.
 
-    sensor: the place, or None for the whole body. code: a stable name for programs. sentence: for
-    people, with the number and its unit and what to do. value: the number alone.
+    Without a calibration: units, axes, gaps, exchanged sides and lags, which need no pose. With one:
+    also movement in the pose, slipped sensors, leaning, sides of the arms, certainty of the heading.
     """
+    if calibration is None:
+        return ordered(check_before(raw))
+    raw = raw.select(calibration.sensors)
+    found = check_before(raw)
+    if not any(f.severity == "error" for f in found):
+        fused = raw
+        if calibration.orientation == "vqf" or raw.R_world_sensor is None:
+            fused = fusion.with_orientation(raw)
+        start, stop = (round((t - raw.start_s) * raw.rate_hz) for t in calibration.time)
+        window = Window(start, stop, 0.0, True, False)
+        found += check_result(
+            fused, window, average(fused, window), -calibration.heading, calibration.heading_sigma,
+            calibration.pose,
+        )  # fmt: skip
+    return ordered(found)
 
-    severity: Severity
-    sensor: str | None
-    code: str
-    sentence: str
-    value: float | None = None
 
-    def to_dict(self) -> dict[str, Any]:
-        """As JSON."""
-        return asdict(self)
+def check_before(raw: RawRecording) -> list[Finding]:
+    """The checks that need neither orientation nor pose."""
+    joints, _ = places.joints_and_seats(raw.sensors)
+    found = sensor_checks.check_sensors(raw) + _gaps(raw)
+    if not any(f.severity == "error" for f in found):
+        swapped = body_checks.check_swapped(raw, joints)
+        names = {f.sensor for f in swapped}
+        # A sensor on the wrong side is out of step with its supposed neighbours; its clock is not.
+        lags = [f for f in body_checks.check_lags(raw, joints) if f.sensor not in names]
+        found += swapped + lags
+    return found
+
+
+def check_result(
+    raw: RawRecording,
+    window: Window,
+    pose: Pose,
+    facing: np.ndarray,
+    sigma: np.ndarray,
+    name: str,
+) -> list[Finding]:
+    """The checks that need the orientation, the pose and the facing (S,) of each sensor's world."""
+    found = body_checks.check_pose(raw, window, pose)
+    found += body_checks.check_slipped(raw, window, pose)
+    found += body_checks.check_leaning(raw, window, pose)
+    if (sigma < np.pi / 2).all():
+        found += body_checks.check_sides(raw, pose, facing, name)
+    return found + _facing(raw, window, pose, facing, sigma, name)
+
+
+def _facing(
+    raw: RawRecording,
+    window: Window,
+    pose: Pose,
+    facing: np.ndarray,
+    sigma: np.ndarray,
+    name: str,
+) -> list[Finding]:
+    """Is the facing certain, and does the motion agree with it?"""
+    found = []
+    if raw.common_heading:
+        if UNCERTAIN_DEG < np.degrees(sigma[0]) < 180:
+            text = f"where the wearer faces is known to {np.degrees(sigma[0]):.0f} deg only"
+            found.append(
+                Finding("warning", None, "facing-uncertain", text, float(np.degrees(sigma[0])))
+            )
+        cues = face.from_motion(raw, pose, window, name == "n")
+        if cues and sigma[0] < np.pi:
+            seen, spread, kept = face.combine(cues)
+            off = float(np.degrees(face.wrap(seen - facing[0])))
+            if abs(off) > 30 + 2 * np.degrees(spread) and len(kept) > 0.6 * len(cues):
+                text = (
+                    f"the motion of legs and trunk says the wearer faced {off:+.0f} deg from where the "
+                    f"calibration has it"
+                )
+                found.append(Finding("warning", None, "facing-disagrees", text, off))
+        return found
+    for s, sensor in enumerate(raw.sensors):
+        degrees = float(np.degrees(sigma[s]))
+        if UNCERTAIN_DEG < degrees < 180:
+            text = f"sensor {sensor}: its heading is known to {degrees:.0f} deg only"
+            found.append(Finding("warning", sensor, "facing-uncertain", text, degrees))
+    return found
+
+
+def _gaps(raw: RawRecording) -> list[Finding]:
+    """Much lost, or lost for long."""
+    found = []
+    longest: dict[int, int] = {}
+    for gap in gaps(raw.valid):
+        longest[gap["sensor"]] = max(longest.get(gap["sensor"], 0), gap["frames"])
+    for s, frames in longest.items():
+        share, seconds = float(1 - raw.valid[:, s].mean()), frames / raw.rate_hz
+        if share > 0.1 or seconds > 1.0:
+            text = (
+                f"sensor {raw.sensors[s]}: {share:.0%} of its samples are missing, the longest gap is "
+                f"{seconds:.1f} s: its heading may differ behind a gap"
+            )
+            found.append(Finding("warning", raw.sensors[s], "gaps", text, share))
+    return found
+
+
+def summary(findings: list[Finding]) -> str:
+    """One line: the findings of the worst severity, sensors with the same code named together."""
+    if not findings:
+        return "nothing doubtful"
+    worst = min(findings, key=lambda f: ORDER[f.severity]).severity
+    codes: dict[str, list[Finding]] = {}
+    for f in findings:
+        if f.severity == worst:
+            codes.setdefault(f.code, []).append(f)
+    parts = []
+    for group in codes.values():
+        text = group[0].sentence
+        if len(group) > 1 and text.startswith("sensor "):
+            names = ", ".join(f.sensor or "" for f in group)
+            text = f"sensors {names}: {text.split(': ', 1)[1]}"
+        parts.append(text)
+    return "; ".join(dict.fromkeys(parts))
+
+
+def ordered(findings: list[Finding]) -> list[Finding]:
+    """Errors first, and of several findings with one sensor and code the first only."""
+    once: dict[tuple[str | None, str], Finding] = {}
+    for f in findings:
+        once.setdefault((f.sensor, f.code), f)
+    return sorted(once.values(), key=lambda f: ORDER[f.severity])

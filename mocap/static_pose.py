@@ -168,7 +168,7 @@ def _score(raw: RawRecording, rate: Array, a: int, b: int) -> float:
     a, b = _calmest(rate, a, b, raw.rate_hz)
     length = min(1.0, (b - a) / (MAX_S * raw.rate_hz))
     calm = 1.0 / (1.0 + (rate[a:b].mean() / STILL_RATE) ** 2)
-    early = 1.0 - 0.5 * a / len(raw)
+    early = 1.0 - 0.7 * a / len(raw)
     lean = _lean_from_motion(raw, rate, a, b)
     plausible = 1.0 if lean < IMPLAUSIBLE_DEG else 0.1
     return float(length * calm * early * plausible)

@@ -1,0 +1,248 @@
+"""What the sensors betray together: movement in the pose, exchanged sides, slipped sensors, lags.
+
+What cannot be seen, said plainly: a mirror image of the whole body is a possible body, so left and right
+exchanged on every limb at once show only where the arms leave a T-pose or the upper arms are raised;
+exchanged forearms without any other sensor on the arms do not show; neither does a sensor that turned
+about the vertical, nor one that slipped with no still, upright moment afterwards.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from mocap import facing as face
+from mocap import headings as heads
+from mocap.findings import Finding
+from mocap.orientation import Array
+from mocap.recording import RawRecording
+from mocap.static_pose import Pose, Window, still_runs, tilt_from_pose
+
+MOVED_DEG = 4.0
+SLIPPED_DEG, REST_DEG = 12.0, 6.0  # tilt of one sensor since the pose; of the others meanwhile
+LEANING_DEG = 25.0
+SWAPPED = -0.3  # correlation of the sides' activity along a limb below which names are exchanged
+LAG_S = 0.1
+TRUNK = ("pelvis", "lower_back", "upper_back", "sternum")
+
+
+def check_pose(raw: RawRecording, window: Window, pose: Pose) -> list[Finding]:
+    """Did a sensor, or the wearer, move during the pose?"""
+    found = []
+    a, b = window.seconds(raw)
+    if not window.still:
+        text = (
+            f"the wearer moves at the time of the pose, {a:.2f} to {b:.2f} s "
+            f"({np.degrees(window.rate):.0f} deg/s): name another time, or let it be found"
+        )
+        found.append(Finding("warning", None, "pose-not-still", text, float(window.rate)))
+    for s, name in enumerate(raw.sensors):
+        moved = float(pose.moved_deg[s])
+        if moved > max(MOVED_DEG, 2.5 * float(pose.wobble_deg[s])):
+            text = f"sensor {name}: moved by {moved:.1f} deg during the pose, {a:.2f} to {b:.2f} s"
+            found.append(Finding("warning", name, "moved-in-pose", text, moved))
+    return found
+
+
+def check_slipped(raw: RawRecording, window: Window, pose: Pose) -> list[Finding]:
+    """Is one sensor tilted in a later still stance in which the rest of the body is as in the pose?
+
+    A still run counts if the median tilt over the sensors is below REST_DEG. A limb may be held
+    differently on purpose, so a sensor is named only if it is off in the majority of the runs that
+    follow the first in which it is off, and alone on its limb or with everything beyond it.
+    """
+    later = [(a, b) for a, b in still_runs(raw) if a >= window.stop]
+    tilts = [tilt_from_pose(raw, a, b, pose) for a, b in later]
+    rows = [
+        (run, t)
+        for run, t in zip(later, tilts, strict=True)
+        if np.isfinite(t).sum() >= 3 and np.nanmedian(t) < REST_DEG
+    ]
+    found = []
+    for s, name in enumerate(raw.sensors):
+        off = [k for k, (_, t) in enumerate(rows) if t[s] > SLIPPED_DEG]
+        if not off or len(off) <= 0.5 * (len(rows) - off[0]):
+            continue
+        since = raw.start_s + rows[off[0]][0][0] / raw.rate_hz
+        tilt = float(np.median([rows[k][1][s] for k in off]))
+        text = (
+            f"sensor {name}: tilted by {tilt:.0f} deg since the pose when the body stands still again "
+            f"at {since:.1f} s, the others by {float(np.nanmedian(rows[off[0]][1])):.0f} deg: it "
+            f"slipped on the bone, or that limb was held differently"
+        )
+        found.append(Finding("warning", name, "slipped", text, tilt))
+    return found
+
+
+def check_leaning(raw: RawRecording, window: Window, pose: Pose) -> list[Finding]:
+    """Is the trunk in the pose far from how it is held during the rest of the recording?"""
+    found = []
+    for s, name in enumerate(raw.sensors):
+        if name not in TRUNK:
+            continue
+        _, up, frames = face.carried(raw, pose, s)
+        up = up[(frames < window.start) | (frames >= window.stop)]
+        if len(up) < 5 * raw.rate_hz:
+            continue
+        mean = np.median(up, axis=0)
+        tilt = float(np.degrees(np.arctan2(np.hypot(mean[0], mean[2]), mean[1])))
+        if tilt > LEANING_DEG:
+            text = (
+                f"sensor {name}: leans {tilt:.0f} deg in the pose against the median of the recording: "
+                f"the wearer leaned in the pose, or mostly leans or sits afterwards"
+            )
+            found.append(Finding("warning", name, "pose-leaning", text, tilt))
+    return found
+
+
+def activity(raw: RawRecording) -> Array:
+    """(T,S): log of the squared rate of rotation, rad^2/s^2, averaged over 0.3 s.
+
+    Independent of mounting and heading; invalid samples count as rest.
+    """
+    gyr = np.where(raw.valid[..., None], np.nan_to_num(raw.gyr), 0.0)
+    n = max(1, round(0.3 * raw.rate_hz))
+    return np.asarray(np.log(uniform_filter1d((gyr**2).sum(-1), n, axis=0) + 0.05))
+
+
+def check_swapped(raw: RawRecording, joints: np.ndarray) -> list[Finding]:
+    """Are left and right exchanged on one level of a limb?
+
+    d_x = (activity of the left sensor) - (that of the right one) on level x, say the shanks. While
+    one leg swings, its thigh, shank and foot are all the busier ones: d_x and d_y correlate. A pair
+    of levels with a clearly negative correlation has one of the two exchanged.
+    """
+    act = activity(raw)
+    found: list[Finding] = []
+    for part in ("arm", "leg"):
+        levels = _levels(raw.sensors, joints, part)
+        if len(levels) < 2:
+            continue
+        d = {x: act[:, left] - act[:, right] for x, (left, right) in levels.items()}
+        # Where neither side is busier there is nothing to tell sides by.
+        d = {x: v for x, v in d.items() if v.std() > 0.3}
+        found += _exchanged(d)
+    return found
+
+
+def _exchanged(d: dict[str, Array]) -> list[Finding]:
+    """The levels whose exchange makes the side differences agree; few exchanges before many."""
+    names = list(d)
+    if len(names) < 2:
+        return []
+    C = np.corrcoef(np.array([d[n] for n in names]))
+    pairs = list(combinations(range(len(names)), 2))
+    if all(C[i, j] > SWAPPED for i, j in pairs):
+        return []
+    best, best_score = [names], [-np.inf]
+    for count in range(len(names) // 2 + 1):
+        for flipped in combinations(range(len(names)), count):
+            sign = np.array([-1.0 if i in flipped else 1.0 for i in range(len(names))])
+            score = sum(sign[i] * sign[j] * C[i, j] for i, j in pairs)
+            group = [names[i] for i in flipped]
+            if score > best_score[0] + 1e-9:
+                best, best_score = [group], [score]
+            elif abs(score - best_score[0]) <= 1e-9:
+                best.append(group)
+    worst = float(min(C[i, j] for i, j in pairs))
+    options = [" and ".join(f"left_{x} and right_{x}" for x in group) for group in best if group]
+    if not options:
+        return []
+    text = (
+        f"{' (or else '.join(options)}{')' * (len(options) - 1)} are probably exchanged: when the left "
+        f"one of one level of the limb moves, the right one of the next does (correlation {worst:.2f})"
+    )
+    return [
+        Finding("warning", f"{side}_{x}", "swapped", text, worst)
+        for group in best
+        for x in group
+        for side in ("left", "right")
+    ]
+
+
+def _levels(sensors: tuple[str, ...], joints: np.ndarray, part: str) -> dict[str, tuple[int, int]]:
+    """Levels of the arms or legs that have a sensor on both sides: {"shank": (left, right), ...}."""
+    found = {}
+    for s, name in enumerate(sensors):
+        kind = face.kind(name)
+        other = f"right_{kind}"
+        on_left = name == f"left_{kind}" and heads.limb(int(joints[s])) == f"left_{part}"
+        if on_left and other in sensors:
+            found[kind] = (s, sensors.index(other))
+    return found
+
+
+def check_sides(raw: RawRecording, pose: Pose, facing: Array, name: str) -> list[Finding]:
+    """Do the arms rise (from the N-pose) or drop (from the T-pose) on the side they are named after?
+
+    Up in the frame carried to the pose: a left arm raised sideways from the N-pose carries it to the
+    left, one lowered from the T-pose to the right. In the N-pose only the upper arms tell, because
+    forearms cross the chest.
+    """
+    kinds = ("upper_arm",) if name == "n" else ("upper_arm", "forearm", "wrist")
+    found = []
+    for kind in kinds:
+        sides = [f"left_{kind}", f"right_{kind}"]
+        if not all(n in raw.sensors for n in sides):
+            continue
+        values = []
+        for n in sides:
+            s = raw.sensors.index(n)
+            _, up, _ = face.carried(raw, pose, s)
+            left = np.imag(face.complex_heading(up) * np.exp(-1j * facing[s]))
+            low, high = np.percentile(left, [1, 99])
+            values.append(high + low if name == "n" else -2 * np.median(left))
+        if values[0] < -0.3 and values[1] > 0.3:
+            text = (
+                f"left_{kind} and right_{kind} are probably exchanged: the left one goes to the right "
+                f"and the right one to the left; or the facing is off by 180 deg"
+            )
+            found += [Finding("warning", n, "swapped", text, float(values[0])) for n in sides]
+    return found
+
+
+def check_lags(raw: RawRecording, joints: np.ndarray) -> list[Finding]:
+    """Is one sensor's clock behind the others'?
+
+    For each pair of sensors on one limb or the trunk, the lag (at most 0.5 s) at which their activity
+    correlates best; one lag per sensor explains them by least absolute deviations (a sensor's lag is
+    the median of its pairwise lags, when its neighbours agree among themselves).
+    """
+    act = activity(raw)
+    act = act - act.mean(axis=0)
+    reach = round(0.5 * raw.rate_hz)
+    S = len(raw.sensors)
+    lag = np.full((S, S), np.nan)
+    for a, b in combinations(range(S), 2):
+        if heads.comparable(int(joints[a]), int(joints[b])):
+            lag[a, b] = _lag(act[:, a], act[:, b], reach) / raw.rate_hz
+            lag[b, a] = -lag[a, b]
+    found = []
+    for s, name in enumerate(raw.sensors):
+        mine = lag[s][np.isfinite(lag[s])]
+        if len(mine) < 2:
+            continue
+        late = float(np.median(mine))
+        spread = float(np.median(np.abs(mine - late)))
+        if abs(late) > LAG_S and spread < 0.3 * abs(late):
+            text = (
+                f"sensor {name}: runs {abs(late) * 1000:.0f} ms {'behind' if late > 0 else 'ahead of'} "
+                f"the sensors next to it: its clock is not synchronised"
+            )
+            found.append(Finding("warning", name, "lag", text, late))
+    return found
+
+
+def _lag(x: Array, y: Array, reach: int) -> float:
+    """Frames by which x is later than y; NaN where the best correlation is poor or no better."""
+    if min(x.std(), y.std()) < 0.3 or len(x) < 8 * reach:
+        return np.nan
+    core = x[reach:-reach]
+    shifts = np.arange(-reach, reach + 1)
+    c = np.array([np.corrcoef(core, y[reach - k : len(y) - reach - k])[0, 1] for k in shifts])
+    best = int(np.argmax(c))
+    if c[best] < 0.6 or best in (0, len(c) - 1):
+        return np.nan
+    return float(shifts[best]) if c[best] > c[reach] + 0.02 else 0.0

@@ -1,0 +1,247 @@
+"""What one sensor's own data betray: units, reversed or exchanged axes, clipping.
+
+The test of axes needs no orientation. Over a window, gyr is integrated and acc carried to the window's
+first frame; gravity must come out the same at the beginning and at the end. A reversed axis, a
+left-handed triad or a wrong unit makes the two disagree, and of the 48 signed permutations of the axes
+(or the factor pi/180) the one that restores agreement is named. Reversing axes of acc by D is the same
+to this test as reversing those of gyr by -det(D) D: where both readings are possible, both are said.
+Reversing all axes of acc alone cannot be seen without an orientation from elsewhere.
+"""
+
+from __future__ import annotations
+
+from itertools import permutations, product
+
+import numpy as np
+
+from mocap import orientation as ori
+from mocap.findings import Finding
+from mocap.fusion import bridged
+from mocap.orientation import Array
+from mocap.recording import RawRecording
+
+WINDOW_S = 2.0
+MAX_WINDOWS = 40
+DEG = np.pi / 180
+BAD_DEG = 10.0  # median disagreement of gravity above which other readings are tried
+GRAVITY_RANGE = (9.3, 10.3)  # m/s^2: more than bias and scale of any usual sensor
+AXES = "xyz"
+
+
+def check_sensors(raw: RawRecording) -> list[Finding]:
+    """All checks of this module, sensor by sensor."""
+    found: list[Finding] = []
+    for s, name in enumerate(raw.sensors):
+        ok = raw.valid[:, s]
+        if ok.sum() < raw.rate_hz:
+            text = f"sensor {name}: only {int(ok.sum())} valid samples"
+            found.append(Finding("error", name, "no-data", text, float(ok.sum())))
+            continue
+        gyr, acc = bridged(raw.gyr[:, s], ok), bridged(raw.acc[:, s], ok)
+        gravity = _gravity(name, gyr, acc)
+        found += gravity
+        found += _clipping(name, "acc", acc) + _clipping(name, "gyr", gyr)
+        if not any(f.severity == "error" for f in gravity):
+            found += _axes(name, gyr, acc, ok, raw, s)
+    return found
+
+
+def still_gravity(gyr: Array, acc: Array) -> float:
+    """Median |acc| of the tenth of the samples with the slowest rotation."""
+    rate = np.linalg.norm(gyr, axis=1)
+    return float(np.median(np.linalg.norm(acc[rate <= np.percentile(rate, 10)], axis=1)))
+
+
+def _gravity(name: str, gyr: Array, acc: Array) -> list[Finding]:
+    """Is a still sensor's |acc| 9.81, and if not, in which unit would it be?"""
+    g = still_gravity(gyr, acc)
+    if GRAVITY_RANGE[0] <= g <= GRAVITY_RANGE[1]:
+        return []
+    head = f"sensor {name}: a still sensor reads {g:.3g}, expected 9.81 m/s^2: "
+    if 0.9 <= g <= 1.1:
+        return [Finding("error", name, "acc-in-g", head + "acc is in g, multiply by 9.80665", g)]
+    if 930 <= g <= 1030:
+        why = "acc is in mg or cm/s^2, divide by 1000/9.80665 or by 100"
+        return [Finding("error", name, "acc-unit", head + why, g)]
+    if g < 0.6:
+        why = "gravity has been removed; the specific force with gravity is needed"
+        return [Finding("error", name, "acc-without-gravity", head + why, g)]
+    if 8.3 <= g <= 11.3:
+        why = "bias or scale of its accelerometer is off"
+        return [Finding("warning", name, "acc-gravity", head + why, g)]
+    return [Finding("error", name, "acc-unit", head + "its unit is unknown", g)]
+
+
+def _clipping(name: str, what: str, x: Array) -> list[Finding]:
+    """Samples that stay at an axis's extreme while the other axes move."""
+    worst, limit = 0, 0.0
+    for k in range(3):
+        for sign in (1.0, -1.0):
+            top = float((sign * x[:, k]).max())
+            if top <= 1e-3:
+                continue
+            at = sign * x[:, k] >= top * (1 - 1e-9)
+            others = np.abs(np.diff(np.delete(x, k, axis=1), axis=0)).max(axis=1)
+            n = int((at[1:] & at[:-1] & (others > 0.02 * top)).sum())
+            if n > worst:
+                worst, limit = n, top
+    if worst < 3:
+        return []
+    unit = "m/s^2" if what == "acc" else "rad/s"
+    text = (
+        f"sensor {name}: {what} stays at its limit of {limit:.4g} {unit} for {worst} samples: the "
+        f"sensor's range is too small for this motion"
+    )
+    return [Finding("warning", name, "clipping", text, limit)]
+
+
+def _readings() -> list[Array]:
+    """The 48 signed permutations of three axes, the identity first, simplest next."""
+    found = []
+    for p in permutations(range(3)):
+        for signs in product((1.0, -1.0), repeat=3):
+            M = np.zeros((3, 3))
+            M[range(3), p] = signs
+            found.append(M)
+    return sorted(found, key=lambda M: 9 - int((np.eye(3) == M).sum()))
+
+
+def _axes(
+    name: str, gyr: Array, acc: Array, ok: np.ndarray, raw: RawRecording, s: int
+) -> list[Finding]:
+    """Units and axes of gyr, and of acc against it; against R_world_sensor where there is one."""
+    readings = _readings()
+    if raw.R_world_sensor is not None:
+        R = raw.R_world_sensor[:, s]
+        has = ok & np.isfinite(R).all((-1, -2))
+        if has.sum() > raw.rate_hz:
+            return _against_orientation(name, gyr, acc, R, has, raw.rate_hz, readings)
+    parts = _windows(gyr, acc, ok, raw.rate_hz)
+    if parts is None:
+        return []
+    gyr_w, acc_w = parts
+    dt = 1.0 / raw.rate_hz
+    plain = _disagreement(np.eye(3)[None], gyr_w, acc_w, dt)[0]
+    if plain < BAD_DEG:
+        return []
+    trials = [np.eye(3) * DEG, *readings[1:]]
+    off = _disagreement(np.array(trials), gyr_w, acc_w, dt)
+    # Of readings that do about equally well, the simplest: they are sorted.
+    best = int(np.flatnonzero(off <= 1.15 * off.min() + 0.5)[0])
+    if off[best] > 0.5 * plain:
+        return []
+    head = (
+        f"sensor {name}: integrating gyr turns gravity by {plain:.0f} deg in {WINDOW_S:g} s against "
+        f"acc ({off[best]:.0f} deg if corrected): "
+    )
+    return [_named(name, head, trials[best], None, float(plain))]
+
+
+def _windows(gyr: Array, acc: Array, ok: np.ndarray, rate_hz: float) -> tuple[Array, Array] | None:
+    """The MAX_WINDOWS windows with most rotation: gyr and acc (W,n,3); None where too few are whole."""
+    n, hop = max(4, round(WINDOW_S * rate_hz)), max(1, round(WINDOW_S * rate_hz / 2))
+    starts = np.arange(0, len(gyr) - n + 1, hop)
+    starts = np.array([k for k in starts if ok[k : k + n].mean() > 0.8], int)
+    if len(starts) < 3:
+        return None
+    q = max(1, n // 8)
+    turned = [np.linalg.norm(_means(gyr[k : k + n], q), axis=1).sum() for k in starts]
+    # Where little turns, every reading agrees: the less active half has no say.
+    keep = min(MAX_WINDOWS, max(3, len(starts) // 2))
+    starts = starts[np.argsort(turned)[::-1][:keep]]
+    index = starts[:, None] + np.arange(n)
+    return gyr[index], acc[index]
+
+
+def _disagreement(readings: Array, gyr: Array, acc: Array, dt: float) -> Array:
+    """Median angle (H,) in deg between gravity at the start and the end of the windows (W,n,3).
+
+    readings: (H,3,3), each applied to gyr.
+    """
+    W, n, _ = gyr.shape
+    third = max(1, n // 3)
+    angles = []
+    for M in readings:
+        steps = ori.exp(gyr @ M.T * dt)
+        R = np.broadcast_to(np.eye(3), (W, 3, 3))
+        sums = np.zeros((2, W, 3))
+        for k in range(n):
+            R = R @ steps[:, k]
+            if k < third or k >= n - third:
+                sums[int(k >= third)] += np.einsum("wij,wj->wi", R, acc[:, k])
+        unit = sums / np.maximum(np.linalg.norm(sums, axis=-1, keepdims=True), 1e-9)
+        cos = np.clip(np.sum(unit[0] * unit[1], axis=-1), -1, 1)
+        angles.append(float(np.degrees(np.median(np.arccos(cos)))))
+    return np.array(angles)
+
+
+def _against_orientation(
+    name: str,
+    gyr: Array,
+    acc: Array,
+    R: Array,
+    has: np.ndarray,
+    rate_hz: float,
+    readings: list[Array],
+) -> list[Finding]:
+    """gyr against the rate of R_world_sensor, acc against its vertical (half-second means)."""
+    n = max(1, round(0.5 * rate_hz))
+    pair = has[1:] & has[:-1]
+    rate = np.zeros_like(gyr)
+    rate[1:][pair] = ori.log(np.swapaxes(R[:-1][pair], -1, -2) @ R[1:][pair]) * rate_hz
+    quarter = max(1, n // 4)
+    found = []
+    w, g = (_means(np.where(np.r_[False, pair][:, None], x, 0.0), quarter) for x in (rate, gyr))
+    if np.sqrt((w**2).sum(axis=1).mean()) > 0.15:
+        off = [_relative(w, g @ M.T) for M in [*readings, np.eye(3) * DEG]]
+        best = int(np.argmin(off))
+        if off[0] > 0.7 and off[best] < 0.5 * off[0]:
+            M = [*readings, np.eye(3) * DEG][best]
+            head = f"sensor {name}: gyr is not the rate of its orientation ({off[0]:.0%} off): "
+            found.append(_named(name, head, M, "gyr", off[0]))
+    up, f = _means(np.where(has[:, None], np.nan_to_num(R[:, 1, :]), 0.0), n), _means(acc, n)
+    off = [_relative(up * ori.GRAVITY, f @ M.T) for M in readings]
+    best = int(np.argmin(off))
+    if off[0] > 0.25 and off[best] < 0.4 * off[0]:
+        head = f"sensor {name}: acc does not point up in its orientation ({off[0]:.0%} off): "
+        found.append(_named(name, head, readings[best], "acc", off[0]))
+    return found
+
+
+def _means(x: Array, n: int) -> Array:
+    """Means of consecutive blocks of n rows."""
+    m = len(x) // n
+    return x[: m * n].reshape(m, n, -1).mean(axis=1)
+
+
+def _relative(a: Array, b: Array) -> float:
+    return float(np.sqrt(((a - b) ** 2).sum() / max((a**2).sum(), 1e-12)))
+
+
+def _named(name: str, head: str, M: Array, of: str | None, value: float) -> Finding:
+    """The finding for the correction M that fits: `of` gyr or acc, or (None) of either."""
+    if abs(abs(M).max() - DEG) < 1e-9:
+        return Finding("error", name, "gyr-in-deg", head + "gyr is in deg/s, not rad/s", value)
+    diagonal = np.diag(M)
+    if not np.abs(diagonal).all():
+        order = ", ".join(
+            ("-" if M[i].sum() < 0 else "") + AXES[int(np.abs(M[i]).argmax())] for i in range(3)
+        )
+        what = of or "gyr (against acc)"
+        text = head + f"the axes of {what} are exchanged, x, y, z should be its {order}"
+        return Finding("error", name, f"{of or 'gyr'}-axes", text, value)
+    flipped = [AXES[i] for i in range(3) if diagonal[i] < 0]
+    if of is None and len(flipped) == 2:
+        # The same as one reversed axis of acc, which is the simpler mistake.
+        (kept,) = set(AXES) - set(flipped)
+        text = head + f"axis {kept} of acc is reversed (or {' and '.join(flipped)} of gyr)"
+        return Finding("error", name, "acc-axes", text, value)
+    if len(flipped) == 3:
+        what = "all axes of gyr are reversed, or the whole triad is left-handed"
+        if of == "acc":
+            what = "all axes of acc are reversed: it holds gravity instead of specific force"
+        return Finding("error", name, f"{of or 'gyr'}-axes", head + what, value)
+    plural = "axis" if len(flipped) == 1 else "axes"
+    verb = "is" if len(flipped) == 1 else "are"
+    text = head + f"{plural} {' and '.join(flipped)} of {of or 'gyr'} {verb} reversed"
+    return Finding("error", name, f"{of or 'gyr'}-axes", text, value)
