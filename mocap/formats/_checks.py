@@ -21,6 +21,7 @@ Names = tuple[str, ...]
 ROTATION_TOLERANCE = 0.02  # text files round to 3 or 4 decimals
 QUATERNION_TOLERANCE = 0.05
 STILL_WINDOW_S = 0.5
+FASTEST = 60.0  # rad/s: no limb turns faster, few gyroscopes measure it
 MAX_GROWTH = 4  # a gap-filled time grid holds at most this many times the samples of the file
 
 
@@ -188,33 +189,45 @@ def _accelerometer(path: Path, rec: RawRecording) -> list[str]:
     return doubts
 
 
+def _gyr_ratio(rec: RawRecording, s: int) -> tuple[float | None, str]:
+    """How many times larger gyr is than what it should measure, and by what that is known."""
+    if rec.R_world_sensor is not None:
+        ratio = rate_ratio(rec, s)
+        if ratio is not None:
+            return ratio, "the orientation turns"
+    return _tilt_ratio(rec.acc[:, s], rec.gyr[:, s], rec.rate_hz), "gravity in acc turns"
+
+
+def _fastest(rec: RawRecording, s: int) -> float:
+    """99th percentile of |gyr|; 0 without a finite sample."""
+    size = np.linalg.norm(rec.gyr[:, s], axis=-1)
+    size = size[np.isfinite(size)]
+    return float(np.quantile(size, 0.99)) if len(size) else 0.0
+
+
+def gyr_in_degrees(rec: RawRecording) -> bool:
+    """Whether most sensors whose gyr can be checked turn 15 times too fast, or all implausibly fast."""
+    ratios = [_gyr_ratio(rec, s)[0] for s in range(len(rec.sensors))]
+    known = [r for r in ratios if r is not None]
+    if known:
+        return float(np.median(known)) > 15
+    return max(_fastest(rec, s) for s in range(len(rec.sensors))) > FASTEST
+
+
 def _gyroscope(path: Path, rec: RawRecording) -> list[str]:
     """Unit of gyr: against the rate of the orientation, else against how gravity moves in acc."""
     doubts = []
     for s, name in enumerate(rec.sensors):
         where = f"sensor {name}: gyr"
-        if rec.R_world_sensor is not None:
-            ratio, by = rate_ratio(rec, s), "the orientation turns"
-        else:
-            ratio, by = (
-                _tilt_ratio(rec.acc[:, s], rec.gyr[:, s], rec.rate_hz),
-                "gravity in acc turns",
-            )
-        size = rec.gyr[:, s]
-        size = np.linalg.norm(size[np.isfinite(size).all(-1)], axis=-1)
-        fast = float(np.quantile(size, 0.99)) if len(size) else 0.0
-        if (ratio is not None and ratio > 15) or (ratio is None and fast > 60):
-            found = (
-                f"{ratio:.0f} times what {by}" if ratio is not None else f"up to {fast:.0f} rad/s"
-            )
+        ratio, by = _gyr_ratio(rec, s)
+        fast = _fastest(rec, s)
+        if (ratio is not None and ratio > 15) or (ratio is None and fast > FASTEST):
+            found = f"{ratio:.0f} times what {by}" if ratio else f"up to {fast:.0f} rad/s"
             raise FormatError(path, f"{found}: in degrees (say units deg/s)?", where)
         if ratio is not None and ratio < 1 / 15:
-            raise FormatError(
-                path,
-                f"{1 / ratio:.0f} times less than {by}: in rad already (say units rad/s)?",
-                where,
-            )
-        if ratio is not None and rec.R_world_sensor is not None and not 0.5 < ratio < 2:
+            found = f"{1 / ratio:.0f} times less than {by}"
+            raise FormatError(path, f"{found}: in rad already (say units rad/s)?", where)
+        if ratio is not None and by.startswith("the") and not 0.5 < ratio < 2:
             doubts.append(f"{where}: {ratio:.2f} times the rate at which the orientation turns")
     return doubts
 

@@ -8,6 +8,8 @@ R_world_segment R_segment_sensor turns gravity upright.
 
 from __future__ import annotations
 
+import struct
+import zlib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -39,8 +41,11 @@ PLACES: dict[str, str] = {
 """Segment names of the file and the places of the table."""
 
 MAX_SAMPLES = 10_000_000  # of one variable; a day at 100 Hz
+MAX_BYTES = 1 << 30
+_COMPRESSED = 15  # MATLAB's miCOMPRESSED
 SETTLING = 0.25  # rad/s between quat and gyr, above which the file's filter has not settled
 _ISB = ("pelvis", "lower_back", "upper_back", "thigh", "shank")
+LEAST_TILT = 0.01  # rad: accelerometers are not levelled better
 DOUBT = 0.15  # relative residual of the fit that is worth a warning
 
 
@@ -50,10 +55,10 @@ def fit_mounting(
     """R_segment_sensor (3,3) and its residual, from R_world_segment (T,3,3), gyr and acc (T,3).
 
     Minimises sum |w_k - Q gyr_k - b|^2 with w_k = Log(R_{k-1}^T R_k) rate over Q in SO(3) and the
-    constant b (Wahba's problem, by SVD), with frames that fit badly weighted down (Huber); then
-    quiet frames add |R^T e_y - Q acc/|acc||^2 of the low-passed acc with equal total weight. The
-    residual is the root mean square of w - Q gyr over that of w, each frame cut at Huber's bound.
-    NaN where fewer than two frames have both.
+    constant b (Wahba's problem, by SVD), with frames that fit badly weighted down (Huber). Then still
+    frames add |R^T e_y - Q acc/|acc||^2, each part weighted by the inverse square of its own relative
+    residual. The residual returned is the root mean square of w - Q gyr - b over that of w, each frame
+    cut at Huber's bound. NaN where fewer than two frames have both.
     """
     w = ori.log(np.swapaxes(R_world_segment[:-1], -1, -2) @ R_world_segment[1:]) * rate_hz
     g = gyr[1:]
@@ -61,14 +66,24 @@ def fit_mounting(
     w, g = w[ok], g[ok]
     if len(w) < 2:
         return np.full((3, 3), np.nan), np.nan
-    gravity = _gravity_pairs(R_world_segment, gyr, acc, rate_hz)
-    weight, bound = np.ones(len(w)), np.inf
-    Q = np.eye(3)
+    Q, residual = _wahba(w, g, np.zeros((3, 3)))
+    up, down = _gravity_pairs(R_world_segment, acc, rate_hz)
+    if not len(up):
+        return Q, residual
+    tilt = float(np.sqrt(((up - down @ Q.T) ** 2).sum(-1).mean()))
+    weight = (residual / max(tilt, LEAST_TILT)) ** 2
+    return _wahba(w, g, weight * up.T @ down / len(up))
+
+
+def _wahba(w: Array, g: Array, more: Array) -> tuple[Array, float]:
+    """Q in SO(3) with w = Q g + b, robustly, and its relative residual; `more` is added to the
+    correlation matrix, which has about unit trace."""
+    weight = np.ones(len(w))
     for _ in range(10):
         wc = w - np.average(w, axis=0, weights=weight)
         gc = g - np.average(g, axis=0, weights=weight)
         H = (wc * weight[:, None]).T @ gc / max((weight * (wc**2).sum(-1)).sum(), 1e-12)
-        Q = ori.project(H + gravity)
+        Q = ori.project(H + more)
         off = np.linalg.norm(wc - gc @ Q.T, axis=1)
         bound = 3 * 1.48 * float(np.median(off)) + 1e-6
         weight = np.minimum(1.0, bound / np.maximum(off, 1e-12))
@@ -76,22 +91,19 @@ def fit_mounting(
     return Q, float(np.sqrt((off**2).sum() / max((w**2).sum(), 1e-12)))
 
 
-def _gravity_pairs(R: Array, gyr: Array, acc: Array, rate_hz: float) -> Array:
-    """Mean over quiet frames of (up in the segment) (up in the sensor)^T: (3,3); zero without any."""
+def _gravity_pairs(R: Array, acc: Array, rate_hz: float) -> tuple[Array, Array]:
+    """World up in the segment's and in the sensor's frame, (N,3) each, at frames where acc is still."""
     n = max(1, round(0.5 * rate_hz))
     if len(acc) < 4 * n:
-        return np.zeros((3, 3))
-    smooth, turning = _checks.smoothed(acc, n), _checks.smoothed(np.abs(gyr), n)
+        return np.empty((0, 3)), np.empty((0, 3))
+    smooth = _checks.smoothed(acc, n)
     size = np.linalg.norm(smooth, axis=1)
+    wobble = _checks.smoothed(np.abs(acc - smooth), n).max(axis=1)
     with np.errstate(invalid="ignore"):
-        quiet = (np.abs(size - ori.GRAVITY) < 0.5) & (np.linalg.norm(turning, axis=1) < 0.5)
-    quiet[: 2 * n] = quiet[-2 * n :] = False  # the moving average has no full window there
-    quiet &= np.isfinite(R[:, 1]).all(-1)
-    if not quiet.any():
-        return np.zeros((3, 3))
-    up_segment = R[quiet, 1, :]
-    up_sensor = smooth[quiet] / size[quiet, None]
-    return up_segment.T @ up_sensor / int(quiet.sum())
+        still = (np.abs(size - ori.GRAVITY) < 0.5) & (wobble < 0.3)
+    still[: 2 * n] = still[-2 * n :] = False  # the moving average has no full window there
+    still &= np.isfinite(R[:, 1]).all(-1)
+    return R[still, 1, :], smooth[still] / size[still, None]
 
 
 def _settled(R_world_sensor: Array, gyr: Array, rate_hz: float) -> int:
@@ -128,8 +140,37 @@ def _facing(rec: RawRecording, R_world_segment: Array) -> tuple[float | None, li
     ]
 
 
+def _check_size(path: Path) -> None:
+    """Refuse a file whose compressed elements inflate beyond reason, before scipy inflates them."""
+    limit = min(MAX_BYTES, max(64 << 20, 200 * path.stat().st_size))
+    total = 0
+    with path.open("rb") as f:
+        order = "<" if f.read(128)[126:128] == b"IM" else ">"
+        while len(tag := f.read(8)) == 8:
+            kind, size = struct.unpack(order + "II", tag)
+            if kind >> 16:  # a small element: its data lie in the tag
+                continue
+            if kind != _COMPRESSED:
+                f.seek(size, 1)
+                total += size
+            else:
+                total += _inflated(f.read(size), limit - total)
+            if total > limit:
+                raise FormatError(path, f"inflates to more than {limit >> 20} MiB")
+
+
+def _inflated(packed: bytes, limit: int) -> int:
+    """Bytes that a zlib stream unpacks to, counted up to just over `limit`."""
+    unpack, count = zlib.decompressobj(), 0
+    while packed and count <= limit and not unpack.eof:
+        count += len(unpack.decompress(packed, 1 << 20))
+        packed = unpack.unconsumed_tail
+    return count
+
+
 def _load(path: Path) -> dict[str, Any]:
     try:
+        _check_size(path)
         listed = whosmat(path)
         big = [n for n, shape, _ in listed if np.prod([float(k) for k in shape]) > MAX_SAMPLES]
         if big:

@@ -1,0 +1,285 @@
+"""MVNX, the XML that Xsens MVN exports: segment orientations and positions, and the sensors behind them.
+
+Read by tag. A frame of type `normal` holds `orientation` (wxyz per segment), `position` (m), and per
+sensor `sensorOrientation` (wxyz) and `sensorFreeAcceleration` (m/s^2, gravity removed, world). The world
+is z-up with x forward: (x, y, z) becomes our (y, z, x). Segment frames are the world's in the T-pose,
+as our bones' are.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from mocap import orientation as ori
+from mocap.errors import FormatError, ShapeError
+from mocap.formats import Document, Format, Options, _checks, _text, _xml
+from mocap.motion import Motion
+from mocap.orientation import Array
+from mocap.recording import Recording
+from mocap.skeleton import Skeleton
+
+# Our axes of theirs: v_ours = R_OURS_MVN v_mvn, x left, y up, z forward of x forward, y left, z up.
+R_OURS_MVN: Array = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])
+PLACES: dict[str, str] = {
+    "Pelvis": "pelvis", "T8": "sternum", "Head": "head",
+    **{
+        f"{Side}{theirs}": f"{Side.lower()}_{ours}"
+        for Side in ("Left", "Right")
+        for theirs, ours in (
+            ("Shoulder", "shoulder_blade"), ("UpperArm", "upper_arm"), ("ForeArm", "forearm"),
+            ("Hand", "hand"), ("UpperLeg", "thigh"), ("LowerLeg", "shank"), ("Foot", "foot"),
+        )
+    },
+}  # fmt: skip
+"""Segments that carry a sensor, and the places of the table."""
+
+_SEGMENTS = (
+    "Pelvis", "LeftUpperLeg", "RightUpperLeg", "L5", "LeftLowerLeg", "RightLowerLeg", "T12",
+    "LeftFoot", "RightFoot", "T8", "LeftToe", "RightToe", "Neck", "LeftShoulder", "RightShoulder",
+    "Head", "LeftUpperArm", "RightUpperArm", "LeftForeArm", "RightForeArm", "LeftHand", "RightHand",
+    "LeftHand", "RightHand",
+)  # fmt: skip
+"""The segment whose orientation each of our 24 joints takes."""
+
+_PER = {"orientation": 4, "position": 3, "sensorOrientation": 4, "sensorFreeAcceleration": 3}
+_SENSOR_TAGS = ("sensorOrientation", "sensorFreeAcceleration")
+_WANTED = frozenset(_PER)
+_CALIBRATION_FRAMES = ("identity", "tpose", "tpose-isb", "npose")
+SPREAD_DEG = 10.0  # a sensor that moves more than this on its segment is worth a warning
+MAX_NAMES = 200
+
+
+@dataclass
+class _Take:
+    """What one pass over the file collects: names, rate, numbers of normal frames, the first T-pose."""
+
+    rate_hz: float | None = None
+    segments: list[str] = field(default_factory=list)
+    sensors: list[str] = field(default_factory=list)
+    values: dict[str, array[float]] = field(
+        default_factory=lambda: {tag: array("f") for tag in _PER}
+    )
+    times: array[float] = field(default_factory=lambda: array("d"))
+    tpose: dict[str, list[float]] = field(default_factory=dict)
+    tpose_kind: str = ""
+
+
+def _collect(path: Path) -> _Take:
+    take = _Take()
+    elements = _xml.elements(path, _WANTED)
+    for e in elements:
+        if e.text is not None:
+            continue
+        if e.tag == "subject":
+            rate = e.attributes.get("frameRate")
+            take.rate_hz = (
+                None if rate is None else _text.number(path, rate, f"line {e.line}: frameRate")
+            )
+        elif e.tag in ("segment", "sensor"):
+            names = take.segments if e.tag == "segment" else take.sensors
+            names.append(e.attributes.get("label", ""))
+            if len(names) > MAX_NAMES:
+                raise FormatError(path, f"more than {MAX_NAMES} of <{e.tag}>", f"line {e.line}")
+        elif e.tag == "frame":
+            _frame(path, take, e, elements)
+    return take
+
+
+def _frame(path: Path, take: _Take, start: _xml.Element, elements: Iterator[_xml.Element]) -> None:
+    """Read one <frame> up to its end: numbers of normal frames, the pose of the calibration frames."""
+    kind = start.attributes.get("type", "normal") or "normal"
+    number = len(take.times)
+    found: dict[str, list[float]] = {}
+    for e in elements:
+        if e.text is None:
+            continue
+        if e.tag == "frame":
+            break
+        if e.tag in _WANTED:
+            where = f"line {e.line}, frame {number}: {e.tag}"
+            found[e.tag] = [_text.number(path, cell, where) for cell in e.text.split()]
+            sensor = e.tag in _SENSOR_TAGS
+            expected = _PER[e.tag] * len(take.sensors if sensor else take.segments)
+            if len(found[e.tag]) != expected:
+                raise FormatError(path, f"{len(found[e.tag])} numbers, expected {expected}", where)
+    if kind in _CALIBRATION_FRAMES:
+        if not take.tpose or kind == "tpose":
+            take.tpose, take.tpose_kind = found, kind
+        return
+    if kind != "normal":
+        return
+    for tag, values in take.values.items():
+        if tag in found:
+            values.extend(found[tag])
+        elif len(values) or (number and tag == "orientation"):
+            raise FormatError(path, f"no <{tag}>", f"line {start.line}, frame {number}")
+    time = start.attributes.get("time", "")
+    take.times.append(_text.number(path, time, f"line {start.line}: time") if time else np.nan)
+
+
+def _array(path: Path, take: _Take, tag: str) -> Array | None:
+    """(T,N,k) of one tag, or None where the file lacks it."""
+    values = take.values[tag]
+    if not values:
+        return None
+    N = len(take.sensors if tag in _SENSOR_TAGS else take.segments)
+    if len(values) != len(take.times) * N * _PER[tag]:
+        raise FormatError(path, f"<{tag}> is missing in some frames")
+    return np.asarray(values, float).reshape(len(take.times), N, _PER[tag])
+
+
+def _rate(path: Path, take: _Take, options: Options) -> tuple[float, list[str]]:
+    """frameRate, held against the frames' times (ms)."""
+    times = np.asarray(take.times) / 1000
+    rate = options.rate_hz or take.rate_hz
+    if np.isfinite(times).all() and len(times) > 1:
+        measured, frames, doubts = _checks.grid(path, times, "time")
+        if len(frames) != frames[-1] + 1:
+            raise FormatError(path, "frames are missing, expected a constant rate", "time")
+        if rate is not None and abs(measured / rate - 1) > 0.05:
+            raise FormatError(
+                path, f"times run at {measured:.4g} Hz, frameRate is {rate:g}", "time"
+            )
+        return rate or measured, doubts
+    if rate is None:
+        raise FormatError(path, "neither frameRate nor times (say rate)")
+    return rate, ["frames carry no time: the rate is not checked"]
+
+
+def _turned(path: Path, quat: Array, names: tuple[str, ...], tag: str) -> Array:
+    """P R P^T (T,N,3,3): orientations in our axes, of frames that are ours too in the T-pose."""
+    R, zeros = _checks.quaternions(path, quat, names, tag)
+    if zeros:
+        t, s = np.argwhere(np.linalg.norm(quat, axis=-1) == 0)[0]
+        if tag == "orientation":
+            raise FormatError(path, "is zero, expected norm 1", _checks.at(names, t, s, tag))
+    return R_OURS_MVN @ R @ R_OURS_MVN.T
+
+
+def _body(take: _Take, options: Options) -> tuple[Skeleton, list[str]]:
+    """The table's body at the wearer's stature: by the height of the head joint over the toes."""
+    if options.height is not None:
+        return Skeleton.default(options.height), []
+    table = Skeleton.default()
+    position = np.asarray(take.tpose.get("position", ()), float).reshape(-1, 3)
+    names = take.segments
+    if len(position) and {"Head", "LeftToe", "RightToe"} <= set(names):
+        toes = [position[names.index(n), 2] for n in ("LeftToe", "RightToe")]
+        span = position[names.index("Head"), 2] - min(toes)
+        rest = table.rest_positions
+        height = float(span / (rest[15, 1] - rest[[10, 11], 1].min()) * table.stature)
+        try:
+            return Skeleton.default(height), [
+                f"stature {height:.2f} m, from the head joint over the toes in the {take.tpose_kind} frame"
+            ]
+        except ShapeError:
+            pass
+    return table, [f"stature {table.stature:.2f} m: the file's poses do not tell it"]
+
+
+def _is_tpose(take: _Take) -> bool | None:
+    """Whether the arms are level in the calibration frame; None where it has no positions."""
+    position = np.asarray(take.tpose.get("position", ()), float).reshape(-1, 3)
+    names = take.segments
+    if not len(position) or not {"LeftUpperArm", "LeftHand"} <= set(names):
+        return None
+    arm = position[names.index("LeftHand")] - position[names.index("LeftUpperArm")]
+    return bool(abs(arm[2]) < 0.5 * np.linalg.norm(arm))
+
+
+def _motion(path: Path, take: _Take, R: Array, rate: float, body: Skeleton) -> Motion:
+    """The segments' pose (T,N,3,3) on our tree. The pelvis segment's origin lies between the hips."""
+    index = [take.segments.index(n) for n in _SEGMENTS]
+    R_world_joint = R[:, index]
+    position = _array(path, take, "position")
+    between = body.rest_positions[[1, 2]].mean(axis=0) - body.offsets[0]
+    if position is None:
+        p = np.zeros((len(R), 3))
+    else:
+        p = (
+            position[:, take.segments.index("Pelvis")] @ R_OURS_MVN.T
+            - R_world_joint[:, 0] @ between
+        )
+    return Motion(rate, body.local_rotations(R_world_joint), p, body)
+
+
+def _recording(
+    path: Path, take: _Take, R_segment: Array, motion: Motion | None, rate: float
+) -> tuple[Recording, list[str]]:
+    """Sensors on their bones: R_world_bone = R_world_sensor R_bone_sensor^T.
+
+    R_bone_sensor is the chordal mean over all frames of R_world_segment^T R_world_sensor.
+    """
+    quat, free = (_array(path, take, tag) for tag in _SENSOR_TAGS)
+    assert quat is not None and free is not None
+    use = [s for s, n in enumerate(take.sensors) if n in PLACES and n in take.segments]
+    names = tuple(take.sensors[s] for s in use)
+    sensors = tuple(PLACES[n] for n in names)
+    R = _turned(path, quat[:, use], names, "sensorOrientation")
+    carrier = R_segment[:, [take.segments.index(n) for n in names]]
+    relative = np.swapaxes(carrier, -1, -2) @ R
+    R_bone = np.empty_like(R)
+    doubts = []
+    left_out = [n for n in take.sensors if n not in names]
+    if left_out:
+        doubts.append(f"sensors {', '.join(left_out)} sit on no known segment and are left out")
+    for s, name in enumerate(sensors):
+        ok = np.isfinite(relative[:, s]).all((-1, -2))
+        if not ok.any():
+            R_bone[:, s] = np.nan
+            continue
+        mount = ori.mean(relative[ok, s])
+        R_bone[:, s] = R[:, s] @ mount.T
+        spread = float(np.rad2deg(np.median(ori.angle_between(mount, relative[ok, s]))))
+        if spread > SPREAD_DEG:
+            doubts.append(f"sensor {name}: {spread:.0f} deg (median) off a constant mounting")
+    acc = free[:, use] @ R_OURS_MVN.T
+    return Recording(rate, sensors, R_bone, acc, reference=motion), doubts
+
+
+def _read(path: Path, options: Options) -> Document:
+    take = _collect(path)
+    if not len(take.times):
+        raise FormatError(path, "no frame of type normal")
+    quat = _array(path, take, "orientation")
+    if quat is None or not take.segments:
+        raise FormatError(path, "no segment orientation")
+    rate, doubts = _rate(path, take, options)
+    R = _turned(path, quat, tuple(take.segments), "orientation")
+    if not np.isfinite(R).all():
+        t, s = np.argwhere(~np.isfinite(R).all((-1, -2)))[0]
+        where = _checks.at(tuple(take.segments), t, s, "orientation")
+        raise FormatError(path, "not finite", where)
+    body, assumed = _body(take, options)
+    missing = [n for n in dict.fromkeys(_SEGMENTS) if n not in take.segments]
+    motion = None if missing else _motion(path, take, R, rate, body)
+    if missing:
+        doubts.append(f"segments {', '.join(missing)} are missing, so no reference motion")
+    assumed = ["world is z-up with x forward in the file, y-up here", *assumed]
+    level = _is_tpose(take)
+    if level is False:
+        doubts.append(
+            f"the arms hang in the {take.tpose_kind} frame, yet segment frames are taken to be the world's "
+            f"in a T-pose"
+        )
+    has_sensors = all(len(take.values[tag]) for tag in _SENSOR_TAGS)
+    if has_sensors and any(n in PLACES and n in take.segments for n in take.sensors):
+        rec, more = _recording(path, take, R, motion, rate)
+        assumed.append("sensors are mounted on their segments at their mean relative orientation")
+        doubts += more + _checks.calibrated(path, rec)
+        return Document("mvnx", rec, tuple(assumed), tuple(doubts))
+    if motion is None:
+        raise FormatError(path, f"neither sensors nor a whole body: no {', '.join(missing)}")
+    return Document("mvnx", motion, tuple(assumed), (*doubts, "no sensor data: read as a motion"))
+
+
+def _sniff(path: Path, head: bytes) -> bool:
+    return b"<mvnx" in head or head.lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"<?xml")
+
+
+FORMAT = Format("mvnx", (".mvnx",), _sniff, _read)

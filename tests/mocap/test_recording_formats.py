@@ -1,0 +1,325 @@
+"""Every recording format: what is read from a small file equals the motion it was written from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import recording_files as files
+
+from mocap import orientation as ori
+from mocap.errors import FormatError
+from mocap.formats import Options, _checks, csv, mvnx, opensense, qmt, xsens_mtw
+from mocap.motion import Motion
+from mocap.recording import RawRecording, Recording
+
+NONE = Options()
+
+
+def _raw(document: object) -> RawRecording:
+    content = document.content  # type: ignore[attr-defined]
+    assert isinstance(content, RawRecording)
+    return content
+
+
+def _same_raw(have: RawRecording, want: RawRecording, tolerance: float = 1e-6) -> None:
+    """Equal in time and, sensor by sensor, in orientation and what it measured."""
+    assert have.rate_hz == pytest.approx(want.rate_hz, rel=1e-4)
+    assert set(have.sensors) == set(want.sensors) and len(have) == len(want)
+    want = want.select(have.sensors)
+    assert have.valid.all()
+    np.testing.assert_allclose(have.acc, want.acc, atol=20 * tolerance)
+    np.testing.assert_allclose(have.R_world_sensor, want.R_world_sensor, atol=tolerance)
+
+
+# ---------------------------------------------------------------------------------------------- csv
+
+
+@pytest.mark.parametrize("write", [files.csv_wide, files.csv_folder])
+def test_csv(write: object, tmp_path: Path) -> None:
+    document = csv.FORMAT.read(write(tmp_path), NONE)  # type: ignore[operator]
+    want = files.raw()
+    have = _raw(document)
+    _same_raw(have, want)
+    np.testing.assert_allclose(have.gyr, want.select(have.sensors).gyr, atol=1e-6)
+    assert document.warnings == ()
+
+
+def test_csv_writes_what_it_reads(tmp_path: Path) -> None:
+    want = files.raw()
+    assert csv.FORMAT.write is not None
+    csv.FORMAT.write(tmp_path / "w.csv", want)
+    document = csv.FORMAT.read(tmp_path / "w.csv", NONE)
+    _same_raw(_raw(document), want)
+    np.testing.assert_allclose(_raw(document).mag, want.mag, rtol=1e-6)
+
+
+def _csv_scaled(tmp_path: Path, acc: float, gyr: float, header: str) -> Path:
+    rec = files.raw()
+    scaled = RawRecording(
+        rec.rate_hz, rec.sensors, rec.gyr * gyr, rec.acc * acc, R_world_sensor=rec.R_world_sensor
+    )
+    lines = files.csv_lines(scaled, rec.sensors, header=header)
+    (tmp_path / "u.csv").write_text("\n".join(lines) + "\n")
+    return tmp_path / "u.csv"
+
+
+DEG = 180 / np.pi
+
+
+@pytest.mark.parametrize(
+    ("header", "units"),
+    [
+        ("acc: g, gyr: deg/s", frozenset()),
+        ("acc: m/s^2, gyr: rad/s", frozenset({"g", "deg/s"})),
+        ("no units declared", frozenset()),
+    ],
+)
+def test_csv_units(tmp_path: Path, header: str, units: frozenset[str]) -> None:
+    """In g and deg/s: declared in the file, overridden by the user, or inferred from gravity."""
+    path = _csv_scaled(tmp_path, 1 / ori.GRAVITY, DEG, header)
+    document = csv.FORMAT.read(path, Options(units=units))
+    want = files.raw()
+    _same_raw(_raw(document), want)
+    np.testing.assert_allclose(_raw(document).gyr, want.gyr, atol=1e-6)
+    inferred = [w for w in document.warnings if "not declared; read as" in w]
+    assert len(inferred) == (2 if header.startswith("no") else 0)
+
+
+@pytest.mark.parametrize(
+    ("acc", "gyr", "header", "message"),
+    [
+        (
+            1 / ori.GRAVITY,
+            1,
+            "acc: m/s^2, gyr: rad/s",
+            "1 when still, expected 9.81 m/s.2, so the unit is g",
+        ),
+        (1, 1, "acc: g, gyr: rad/s", "96.2 when still, .* it was m/s.2 already"),
+        (1, DEG, "acc: m/s^2, gyr: rad/s", "57 times what the orientation turns: in degrees"),
+        (
+            1,
+            1,
+            "acc: m/s^2, gyr: deg/s",
+            "57 times less than the orientation turns: in rad already",
+        ),
+        (1, 1, "acc: furlong", "unit 'furlong', expected one of m/s"),
+        (1, 1, "world: x-up", "is 'x-up', expected y-up or z-up"),
+        (1, 1, "world: y-up", "expected \\(0, 9.8, 0\\): y up"),
+    ],
+)
+def test_csv_units_that_contradict_gravity(
+    tmp_path: Path, acc: float, gyr: float, header: str, message: str
+) -> None:
+    with pytest.raises(FormatError, match=message):
+        csv.FORMAT.read(_csv_scaled(tmp_path, acc, gyr, header), NONE)
+
+
+def test_csv_degrees_without_orientation(tmp_path: Path) -> None:
+    """Without quaternions, the turning of gravity in acc tells degrees from radians."""
+    rec = files.raw(T=900)
+    bare = RawRecording(rec.rate_hz, rec.sensors, rec.gyr * DEG, rec.acc)
+    assert _checks.gyr_in_degrees(bare)
+    right = RawRecording(rec.rate_hz, rec.sensors, rec.gyr, rec.acc)
+    assert not _checks.gyr_in_degrees(right)
+    assert _checks.raw(tmp_path, right) == []
+    with pytest.raises(FormatError, match="times what gravity in acc turns: in degrees"):
+        _checks.raw(tmp_path, bare)
+
+
+def test_csv_gaps_empty_cells_and_odd_columns(tmp_path: Path) -> None:
+    rec = files.raw()
+    lines = files.csv_lines(rec, rec.sensors)
+    lines[1] += ",pelvis.temperature"
+    lines[2:] = [line + ",warm" for line in lines[2:]]
+    cells = lines[30].split(",")
+    lines[30] = ",".join([cells[0], "", *cells[2:]])  # pelvis.acc_x of frame 28 is lost
+    del lines[60:63]  # frames 58 to 60 are lost
+    (tmp_path / "gap.csv").write_text("\n".join(lines) + "\n")
+    document = csv.FORMAT.read(tmp_path / "gap.csv", NONE)
+    have = _raw(document)
+    assert len(have) == len(rec)
+    lost = np.argwhere(~have.valid)
+    assert {tuple(x) for x in lost} == {(28, 0)} | {(t, s) for t in (58, 59, 60) for s in range(5)}
+    text = " ".join(document.warnings)
+    assert "3 of 240 samples are missing" in text and "pelvis 4" in text
+    assert "columns not read: pelvis.temperature" in text
+
+
+def test_csv_semicolons_and_decimal_commas(tmp_path: Path) -> None:
+    rec = files.raw()
+    lines = files.csv_lines(rec, rec.sensors)
+    text = [lines[0], *(x.replace(",", ";").replace(".", ",") for x in lines[2:])]
+    text.insert(1, lines[1].replace(",", ";"))
+    (tmp_path / "de.csv").write_text("\n".join(text) + "\n")
+    _same_raw(_raw(csv.FORMAT.read(tmp_path / "de.csv", NONE)), rec)
+
+
+def test_csv_orientation_alone(tmp_path: Path) -> None:
+    """Quaternions without acc and gyr: valid by their orientation, gyr from its rate."""
+    rec = files.raw(("pelvis", "left_foot"))
+    lines = files.csv_lines(rec, rec.sensors)
+    keep = [i for i, c in enumerate(lines[1].split(",")) if "acc" not in c and "gyr" not in c]
+    lines[1:] = [",".join(line.split(",")[i] for i in keep) for line in lines[1:]]
+    (tmp_path / "o.csv").write_text("\n".join(lines) + "\n")
+    have = _raw(csv.FORMAT.read(tmp_path / "o.csv", NONE))
+    assert have.valid.all() and np.isnan(have.acc).all()
+    np.testing.assert_allclose(have.gyr[1:], rec.gyr[1:], atol=1e-5)
+
+
+# ---------------------------------------------------------------------------------------------- qmt
+
+
+def test_qmt_finds_the_mounting(tmp_path: Path) -> None:
+    """R_world_sensor comes back although the file holds only the segments' orientations."""
+    want = files.raw(rate=100.0, T=400)
+    document = qmt.FORMAT.read(files.qmt(tmp_path), NONE)
+    have = _raw(document)
+    assert have.start_s == 40.0 and have.valid.all()
+    off = ori.angle_between(have.R_world_sensor, want.select(have.sensors).R_world_sensor)
+    assert np.rad2deg(off.max()) < 0.1
+    assert "0.0%" in document.assumptions[1]
+
+
+def test_the_real_recording(shared: Path) -> None:
+    """The person of the qmt example: still accelerations are upright to 1 deg, on every segment."""
+    document = qmt.FORMAT.read(shared / "data/qmt-fullbody/full_body_example_data.mat", NONE)
+    rec = _raw(document)
+    assert rec.R_world_sensor is not None
+    assert len(rec) == 10_000 and rec.rate_hz == 100.0 and rec.start_s == 40.0
+    assert len(rec.sensors) == 16 and {"pelvis", "lower_back", "right_hand"} <= set(rec.sensors)
+    still = slice(2000, 3000)  # t = 60 to 70 s
+    force = np.einsum("tsij,tsj->tsi", rec.R_world_sensor[still], rec.acc[still]).mean(axis=0)
+    assert (np.hypot(force[:, 0], force[:, 2]) < 0.05).all()
+    assert ((force[:, 1] > 9.65) & (force[:, 1] < 10.2)).all()
+    # gyr turns R_world_sensor: the residual of the fit is 0.8 to 4.1 %.
+    for s in range(16):
+        assert _checks.rate_ratio(rec, s) == pytest.approx(1, abs=0.05)
+    # The file's filter settles within 0.25 s; everything after is valid.
+    assert rec.valid[25:].all() and not rec.valid[:10].any()
+    # At 44 s the person stands with the trunk's x axes at about -107 deg.
+    assert rec.facing_rad == pytest.approx(np.deg2rad(-107), abs=0.1)
+
+
+# ------------------------------------------------------------------------------- OpenSense and MTw
+
+
+def test_sto(tmp_path: Path) -> None:
+    want = files.raw()
+    document = opensense.FORMAT.read(files.sto(tmp_path), NONE)
+    have = _raw(document)
+    assert have.sensors == want.sensors and have.valid.all() and np.isnan(have.acc).all()
+    np.testing.assert_allclose(have.R_world_sensor, want.R_world_sensor, atol=1e-9)
+    np.testing.assert_allclose(have.gyr[1:], want.gyr[1:], atol=1e-6)
+
+
+def test_mtw_folder(tmp_path: Path) -> None:
+    document = xsens_mtw.FORMAT.read(files.mtw(tmp_path), NONE)
+    _same_raw(_raw(document), files.raw(), 1e-5)
+    assert document.warnings == ()
+
+
+def test_mtw_lost_packets_and_late_starts(tmp_path: Path) -> None:
+    """Frames are aligned by packet: a sensor that starts late and loses packets stays in step."""
+    folder = files.mtw(tmp_path)
+    path = folder / "MT_trial_00B40001.txt"
+    lines = path.read_text().splitlines()
+    del lines[103:106]  # packets of frames 100 to 102
+    del lines[3:8]  # starts 5 frames later
+    path.write_text("\n".join(lines) + "\n")
+    document = xsens_mtw.FORMAT.read(folder, NONE)
+    have, want = _raw(document), files.raw().slice(5, 240)
+    assert len(have) == 235
+    s = have.sensors.index("left_thigh")
+    assert np.flatnonzero(~have.valid[:, s]).tolist() == [95, 96, 97]
+    assert have.valid.sum() == have.valid.size - 3
+    np.testing.assert_allclose(
+        have.acc[have.valid], want.select(have.sensors).acc[have.valid], atol=1e-4
+    )
+    assert any("left_thigh 3" in w for w in document.warnings)
+
+
+def test_mtw_names_by_the_user(tmp_path: Path) -> None:
+    path = files.mtw(tmp_path) / "MT_trial_00B40002.txt"
+    document = xsens_mtw.FORMAT.read(path, Options(mapping={"_00B40002": "left_wrist"}))
+    assert document.content.sensors == ("left_wrist",)  # type: ignore[union-attr]
+
+
+def test_the_real_opensense_files(shared: Path) -> None:
+    document = xsens_mtw.FORMAT.read(shared / "data/opensense", NONE)
+    rec = _raw(document)
+    assert set(rec.sensors) == {
+        "sternum", "pelvis", *(f"{s}_{p}" for s in ("left", "right") for p in ("thigh", "shank", "foot"))
+    }  # fmt: skip
+    assert rec.rate_hz == 100.0 and rec.valid.all() and rec.R_world_sensor is not None
+    force = np.einsum("tsij,tsj->tsi", rec.R_world_sensor, rec.acc).mean(axis=0)
+    np.testing.assert_allclose(force, np.tile([0, 9.8, 0], (8, 1)), atol=0.15)
+    sto = _raw(opensense.FORMAT.read(shared / "data/opensense/imuOrientations.sto", NONE))
+    assert set(sto.sensors) == set(rec.sensors) and len(sto) == 2
+
+
+# --------------------------------------------------------------------------------------------- mvnx
+
+
+def test_mvnx(tmp_path: Path) -> None:
+    document = mvnx.FORMAT.read(files.mvnx(tmp_path), NONE)
+    rec = document.content
+    assert isinstance(rec, Recording) and rec.reference is not None
+    from mocap.synthesis import recording
+
+    motion = files.mvn_motion()
+    want = recording(motion, tuple(files.MVN_SENSORS.values()))
+    assert rec.sensors == want.sensors and rec.rate_hz == files.RATE
+    assert np.rad2deg(ori.angle_between(rec.R_world_bone, want.R_world_bone)).max() < 0.01
+    np.testing.assert_allclose(rec.acc_world[1:-1], want.acc_world[1:-1], atol=1e-4)
+    assert (
+        np.rad2deg(ori.angle_between(rec.reference.R_world_joint, motion.R_world_joint)).max()
+        < 0.01
+    )
+    np.testing.assert_allclose(rec.reference.p_world_root, motion.p_world_root, atol=1e-4)
+    assert rec.reference.skeleton.stature == pytest.approx(motion.skeleton.stature, abs=1e-4)
+
+
+def test_mvnx_without_sensors_is_a_motion(tmp_path: Path) -> None:
+    (tmp_path / "m.mvnx").write_text(files.mvnx_text(sensors=False))
+    document = mvnx.FORMAT.read(tmp_path / "m.mvnx", NONE)
+    assert isinstance(document.content, Motion)
+    np.testing.assert_allclose(
+        document.content.p_world_joint, files.mvn_motion().p_world_joint, atol=1e-4
+    )
+
+
+# ------------------------------------------------------------------------------------------- checks
+
+
+def test_grid_of_rounded_stamps(tmp_path: Path) -> None:
+    """Stamps rounded to 10 ms at 60 Hz: the rate is that of the whole, not of the median step."""
+    t = np.round(np.arange(600) / 60, 2)
+    rate, frames, doubts = _checks.grid(tmp_path, t)
+    assert rate == pytest.approx(60, rel=1e-3) and (frames == np.arange(600)).all()
+    assert "jitter" in doubts[0]
+
+
+def test_grid_with_a_gap_and_jitter(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    keep = np.r_[0:50, 57:120]
+    t = 3.0 + keep / 100 + rng.uniform(-0.002, 0.002, len(keep))
+    rate, frames, doubts = _checks.grid(tmp_path, t)
+    assert rate == pytest.approx(100, rel=1e-2) and (frames == keep).all()
+    assert any("7 of 120 samples are missing" in d for d in doubts)
+
+
+@pytest.mark.parametrize(
+    ("t", "message"),
+    [
+        ([0.0], "fewer than two samples"),
+        ([0.0, 0.01, 0.01], "frame 2, time: 0.01 s after 0.01 s, must rise"),
+        ([0.0, 0.01, np.nan], "frame 2, time: is nan"),
+        (np.r_[0:50, 50:150:1.6] / 100, "where .* is usual, expected a constant rate"),
+        ([0, 0.01, 0.02, 1e6], "a gap of 1e.06 s"),
+    ],
+)
+def test_grid_refuses(tmp_path: Path, t: list[float], message: str) -> None:
+    with pytest.raises(FormatError, match=message):
+        _checks.grid(tmp_path, np.asarray(t, float))
