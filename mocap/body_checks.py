@@ -22,6 +22,8 @@ from mocap.static_pose import Pose, Window, still_runs, tilt_from_pose
 
 MOVED_DEG = 4.0
 SLIPPED_DEG, REST_DEG = 12.0, 6.0  # tilt of one sensor since the pose; of the others meanwhile
+# Segments that people hold differently each time they stand still.
+LOOSE_DEG = {"head": 30.0, "hand": 30.0, "forearm": 25.0, "wrist": 25.0, "upper_arm": 18.0}
 LEANING_DEG = 25.0
 SWAPPED = -0.3  # correlation of the sides' activity along a limb below which names are exchanged
 LAG_S = 0.1
@@ -50,8 +52,8 @@ def check_slipped(raw: RawRecording, window: Window, pose: Pose) -> list[Finding
     """Is one sensor tilted in a later still stance in which the rest of the body is as in the pose?
 
     A still run counts if the median tilt over the sensors is below REST_DEG. A limb may be held
-    differently on purpose, so a sensor is named only if it is off in the majority of the runs that
-    follow the first in which it is off, and alone on its limb or with everything beyond it.
+    differently on purpose, so a sensor is named only if it is off in most of the runs from the first
+    in which it is off, and by more the more freely its segment moves.
     """
     later = [(a, b) for a, b in still_runs(raw) if a >= window.stop]
     tilts = [tilt_from_pose(raw, a, b, pose) for a, b in later]
@@ -62,7 +64,8 @@ def check_slipped(raw: RawRecording, window: Window, pose: Pose) -> list[Finding
     ]
     found = []
     for s, name in enumerate(raw.sensors):
-        off = [k for k, (_, t) in enumerate(rows) if t[s] > SLIPPED_DEG]
+        limit = LOOSE_DEG.get(face.kind(name), SLIPPED_DEG)
+        off = [k for k, (_, t) in enumerate(rows) if t[s] > limit]
         if not off or len(off) <= 0.5 * (len(rows) - off[0]):
             continue
         since = raw.start_s + rows[off[0]][0][0] / raw.rate_hz

@@ -1,10 +1,10 @@
 """What one sensor's own data betray: units, reversed or exchanged axes, clipping.
 
-The test of axes needs no orientation. Over a window, gyr is integrated and acc carried to the window's
-first frame; gravity must come out the same at the beginning and at the end. A reversed axis, a
-left-handed triad or a wrong unit makes the two disagree, and of the 48 signed permutations of the axes
-(or the factor pi/180) the one that restores agreement is named. Reversing axes of acc by D is the same
-to this test as reversing those of gyr by -det(D) D: where both readings are possible, both are said.
+The test of axes needs no orientation. Between two calm moments of a sensor gyr is integrated; gravity,
+carried along, must come out as acc has it at the second. A reversed axis, a left-handed triad or a
+wrong unit makes the two disagree, and of the 48 signed permutations of the axes (or the factor pi/180)
+the one that restores agreement is named. Reversing axes of acc by D is the same to this test as
+reversing those of gyr by -det(D) D: where both readings are possible, both are said.
 Reversing all axes of acc alone cannot be seen without an orientation from elsewhere.
 """
 
@@ -13,6 +13,7 @@ from __future__ import annotations
 from itertools import permutations, product
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from mocap import orientation as ori
 from mocap.findings import Finding
@@ -20,10 +21,17 @@ from mocap.fusion import bridged
 from mocap.orientation import Array
 from mocap.recording import RawRecording
 
-WINDOW_S = 2.0
-MAX_WINDOWS = 40
+CALM_S = 0.25  # a calm moment: acc hardly changes for this long and is as long as gravity
+CALM_ACC = 0.5  # m/s^2
+APART_S = 5.0  # calm moments further apart than this are not compared: gyr drifts
+MAX_PAIRS, MIN_PAIRS = 40, 4
+TURNED = 0.5  # rad of rotation between them, at least, or every reading agrees
 DEG = np.pi / 180
-BAD_DEG = 10.0  # median disagreement of gravity above which other readings are tried
+# Median disagreement of gravity above which a reversed axis is believed; and exchanged axes, of which
+# there are so many that one of them fits by chance more easily.
+BAD_DEG, BAD_EXCHANGED_DEG = 13.0, 25.0
+FAST, FASTEST = 20.0, 60.0  # rad/s: people seldom turn faster; no usual gyroscope measures faster
+GOOD_DEG = 8.0  # what a right reading reaches: gyr bias, and acc that is not quite calm
 GRAVITY_RANGE = (9.3, 10.3)  # m/s^2: more than bias and scale of any usual sensor
 AXES = "xyz"
 
@@ -116,61 +124,77 @@ def _axes(
         has = ok & np.isfinite(R).all((-1, -2))
         if has.sum() > raw.rate_hz:
             return _against_orientation(name, gyr, acc, R, has, raw.rate_hz, readings)
-    parts = _windows(gyr, acc, ok, raw.rate_hz)
-    if parts is None:
+    fast = float(np.percentile(np.linalg.norm(gyr, axis=1), 99.5))
+    if fast > FASTEST:
+        head = f"sensor {name}: turns at {fast:.0f} rad/s, faster than gyroscopes can measure: "
+        return [_named(name, head, np.eye(3) * DEG, None, fast)]
+    pairs = _calm_pairs(gyr, acc, ok, raw.rate_hz)
+    if pairs is None:
         return []
-    gyr_w, acc_w = parts
     dt = 1.0 / raw.rate_hz
-    plain = _disagreement(np.eye(3)[None], gyr_w, acc_w, dt)[0]
+    plain = float(_disagreement([np.eye(3)], *pairs, dt)[0])
     if plain < BAD_DEG:
         return []
-    trials = [np.eye(3) * DEG, *readings[1:]]
-    off = _disagreement(np.array(trials), gyr_w, acc_w, dt)
+    trials = [np.eye(3) * DEG] * (fast > FAST) + readings[1:]
+    off = _disagreement(trials, *pairs, dt)
     # Of readings that do about equally well, the simplest: they are sorted.
     best = int(np.flatnonzero(off <= 1.15 * off.min() + 0.5)[0])
-    if off[best] > 0.5 * plain:
+    doubt = BAD_DEG if np.abs(np.diag(trials[best])).all() else BAD_EXCHANGED_DEG
+    if plain < doubt or off[best] > min(0.4 * plain, GOOD_DEG):
         return []
     head = (
-        f"sensor {name}: integrating gyr turns gravity by {plain:.0f} deg in {WINDOW_S:g} s against "
-        f"acc ({off[best]:.0f} deg if corrected): "
+        f"sensor {name}: between calm moments gyr turns gravity by {plain:.0f} deg against acc "
+        f"({off[best]:.0f} deg if corrected): "
     )
-    return [_named(name, head, trials[best], None, float(plain))]
+    return [_named(name, head, trials[best], None, plain)]
 
 
-def _windows(gyr: Array, acc: Array, ok: np.ndarray, rate_hz: float) -> tuple[Array, Array] | None:
-    """The MAX_WINDOWS windows with most rotation: gyr and acc (W,n,3); None where too few are whole."""
-    n, hop = max(4, round(WINDOW_S * rate_hz)), max(1, round(WINDOW_S * rate_hz / 2))
-    starts = np.arange(0, len(gyr) - n + 1, hop)
-    starts = np.array([k for k in starts if ok[k : k + n].mean() > 0.8], int)
-    if len(starts) < 3:
-        return None
-    q = max(1, n // 8)
-    turned = [np.linalg.norm(_means(gyr[k : k + n], q), axis=1).sum() for k in starts]
-    # Where little turns, every reading agrees: the less active half has no say.
-    keep = min(MAX_WINDOWS, max(3, len(starts) // 2))
-    starts = starts[np.argsort(turned)[::-1][:keep]]
-    index = starts[:, None] + np.arange(n)
-    return gyr[index], acc[index]
+def _calm_pairs(
+    gyr: Array, acc: Array, ok: np.ndarray, rate_hz: float
+) -> tuple[Array, Array, Array] | None:
+    """Movements between neighbouring calm moments: gyr (W,n,3), up before and up after (W,3).
 
-
-def _disagreement(readings: Array, gyr: Array, acc: Array, dt: float) -> Array:
-    """Median angle (H,) in deg between gravity at the start and the end of the windows (W,n,3).
-
-    readings: (H,3,3), each applied to gyr.
+    Movements shorter than n are filled up with zero rates. None where there are too few.
     """
-    W, n, _ = gyr.shape
-    third = max(1, n // 3)
+    n = max(3, round(CALM_S * rate_hz))
+    mean = uniform_filter1d(acc, n, axis=0)
+    spread = np.sqrt(np.maximum(uniform_filter1d(acc**2, n, axis=0) - mean**2, 0).sum(axis=1))
+    size = np.linalg.norm(mean, axis=1)
+    limit = max(CALM_ACC, 2 * float(np.percentile(spread, 5)))
+    calm = (spread < limit) & (np.abs(size - np.median(size[spread < limit])) < CALM_ACC) & ok
+    frames = np.flatnonzero(calm)
+    starts, stops = frames[:-1], frames[1:]
+    moved = (stops - starts > n // 2) & (stops - starts < APART_S * rate_hz)
+    starts, stops = starts[moved], stops[moved]
+    turned = np.array(
+        [
+            np.linalg.norm(_means(gyr[a:b], n // 2), axis=1).sum()
+            for a, b in zip(starts, stops, strict=True)
+        ]
+    ) * (n // 2 / rate_hz)
+    use = np.argsort(turned)[::-1][:MAX_PAIRS]
+    use = use[turned[use] > TURNED]
+    if len(use) < MIN_PAIRS:
+        return None
+    longest = int((stops[use] - starts[use]).max())
+    rates = np.zeros((len(use), longest, 3))
+    for k, (a, b) in enumerate(zip(starts[use], stops[use], strict=True)):
+        rates[k, : b - a] = gyr[a + 1 : b + 1]
+    up = mean / np.maximum(size, 1e-9)[:, None]
+    return rates, up[starts[use]], up[stops[use]]
+
+
+def _disagreement(
+    readings: list[Array], gyr: Array, before: Array, after: Array, dt: float
+) -> Array:
+    """Median angle (H,) in deg between `after` and `before` turned by each reading of gyr (W,n,3)."""
     angles = []
     for M in readings:
         steps = ori.exp(gyr @ M.T * dt)
-        R = np.broadcast_to(np.eye(3), (W, 3, 3))
-        sums = np.zeros((2, W, 3))
-        for k in range(n):
+        R = np.broadcast_to(np.eye(3), (len(gyr), 3, 3))
+        for k in range(gyr.shape[1]):
             R = R @ steps[:, k]
-            if k < third or k >= n - third:
-                sums[int(k >= third)] += np.einsum("wij,wj->wi", R, acc[:, k])
-        unit = sums / np.maximum(np.linalg.norm(sums, axis=-1, keepdims=True), 1e-9)
-        cos = np.clip(np.sum(unit[0] * unit[1], axis=-1), -1, 1)
+        cos = np.clip(np.einsum("wi,wij,wj->w", before, R, after), -1, 1)
         angles.append(float(np.degrees(np.median(np.arccos(cos)))))
     return np.array(angles)
 
@@ -195,7 +219,7 @@ def _against_orientation(
     if np.sqrt((w**2).sum(axis=1).mean()) > 0.15:
         off = [_relative(w, g @ M.T) for M in [*readings, np.eye(3) * DEG]]
         best = int(np.argmin(off))
-        if off[0] > 0.7 and off[best] < 0.5 * off[0]:
+        if off[0] > 0.4 and off[best] < 0.5 * off[0]:
             M = [*readings, np.eye(3) * DEG][best]
             head = f"sensor {name}: gyr is not the rate of its orientation ({off[0]:.0%} off): "
             found.append(_named(name, head, M, "gyr", off[0]))

@@ -6,6 +6,8 @@ A violation raises FormatError naming file, frame, sensor and field; a doubt is 
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +15,7 @@ from numpy.typing import NDArray
 
 from mocap import orientation as ori
 from mocap.errors import FormatError
+from mocap.formats import Document, Options
 from mocap.orientation import GRAVITY, Array
 from mocap.recording import RawRecording, Recording, gaps
 from mocap.synthesis import second_difference, sensor_positions
@@ -23,6 +26,19 @@ QUATERNION_TOLERANCE = 0.05
 STILL_WINDOW_S = 0.5
 FASTEST = 60.0  # rad/s: no limb turns faster, few gyroscopes measure it
 MAX_GROWTH = 4  # a gap-filled time grid holds at most this many times the samples of the file
+
+
+def quiet(
+    read: Callable[[Path, Options], Document],
+) -> Callable[[Path, Options], Document]:
+    """A reader without numpy's warnings: what overflows or is not finite is for its checks to find."""
+
+    @functools.wraps(read)
+    def inner(path: Path, options: Options) -> Document:
+        with np.errstate(all="ignore"):
+            return read(path, options)
+
+    return inner
 
 
 def at(sensors: Names, t: int, s: int, what: str) -> str:

@@ -326,4 +326,4 @@ def _sniff(path: Path, head: bytes) -> bool:
     return b"\0" not in head and any(c[0].encode() in head.lower() for c in _GROUPS.values())
 
 
-FORMAT = Format("csv", (".csv", ".tsv", ""), _sniff, _read, _write)
+FORMAT = Format("csv", (".csv", ".tsv", ""), _sniff, _checks.quiet(_read), _write)

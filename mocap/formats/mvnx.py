@@ -282,4 +282,4 @@ def _sniff(path: Path, head: bytes) -> bool:
     return b"<mvnx" in head or head.lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"<?xml")
 
 
-FORMAT = Format("mvnx", (".mvnx",), _sniff, _read)
+FORMAT = Format("mvnx", (".mvnx",), _sniff, _checks.quiet(_read))

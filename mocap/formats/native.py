@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from mocap.errors import FormatError, PoserError
-from mocap.formats import Content, Document, Format, Options, _npz
+from mocap.formats import Content, Document, Format, Options, _checks, _npz
 from mocap.formats._files import write_aside
 from mocap.motion import Motion
 from mocap.recording import RawRecording, Recording
@@ -231,9 +231,11 @@ def _sniff(path: Path, head: bytes) -> bool:
 def _read(path: Path, options: Options) -> Document:
     schema = _npz.Fields(path, _npz.load(path, ("schema",))).text("schema")
     if schema == RAW:
-        return Document("native", read_raw(path, options))
+        raw = read_raw(path, options)
+        return Document("native", raw, warnings=tuple(_checks.raw(path, raw)))
     if schema == RECORDING:
-        return Document("native", read_recording(path, options))
+        recording = read_recording(path, options)
+        return Document("native", recording, warnings=tuple(_checks.calibrated(path, recording)))
     raise FormatError(
         path, f"schema is {schema[:60]!r}; this version reads {RECORDING!r} and {RAW!r}"
     )
@@ -248,4 +250,4 @@ def _write_any(path: Path, content: Content) -> None:
         raise FormatError(path, "a motion is written as an AMASS file, not as a recording")
 
 
-FORMAT = Format("native", (".npz",), _sniff, _read, _write_any)
+FORMAT = Format("native", (".npz",), _sniff, _checks.quiet(_read), _write_any)

@@ -121,4 +121,4 @@ def _sniff(path: Path, head: bytes) -> bool:
     return b"datatype" in head.lower() or b"endheader" in head.lower()
 
 
-FORMAT = Format("opensense", (".sto",), _sniff, _read)
+FORMAT = Format("opensense", (".sto",), _sniff, _checks.quiet(_read))

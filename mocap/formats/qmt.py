@@ -265,4 +265,4 @@ def _sniff(path: Path, head: bytes) -> bool:
     return head.startswith(b"MATLAB 5.0")
 
 
-FORMAT = Format("qmt", (".mat",), _sniff, _read)
+FORMAT = Format("qmt", (".mat",), _sniff, _checks.quiet(_read))

@@ -227,4 +227,4 @@ def _sniff(path: Path, head: bytes) -> bool:
     return b"PacketCounter" in head or (b"Acc_X" in head and b"\t" in head)
 
 
-FORMAT = Format("xsens_mtw", (".txt", ""), _sniff, _read)
+FORMAT = Format("xsens_mtw", (".txt", ""), _sniff, _checks.quiet(_read))
