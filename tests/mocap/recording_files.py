@@ -21,13 +21,14 @@ from mocap.recording import RawRecording, Recording
 from mocap.skeleton import Skeleton
 
 RATE = 60.0
+FRAMES = 240  # of every file, unless told; the fuzz makes them shorter
 LEGS = ("pelvis", "left_thigh", "right_thigh", "left_shank", "right_shank")
 
 
-def motion(T: int = 240, rate: float = RATE) -> Motion:
+def motion(T: int | None = None, rate: float = RATE) -> Motion:
     """One second still in the rest pose, then every joint swings, to the same motion at every call."""
     rng = np.random.default_rng(7)
-    t = np.arange(T) / rate
+    t = np.arange(T or FRAMES) / rate
     grow = np.clip(t - 1.0, 0, 1)[:, None, None] ** 2
     swing = np.sin(
         2 * np.pi * t[:, None, None] * rng.uniform(0.3, 0.9, (1, 24, 3))
@@ -37,12 +38,12 @@ def motion(T: int = 240, rate: float = RATE) -> Motion:
     return Motion(rate, ori.exp(0.5 * grow * swing), p, Skeleton.default())
 
 
-def raw(sensors: tuple[str, ...] = LEGS, T: int = 240, rate: float = RATE) -> RawRecording:
+def raw(sensors: tuple[str, ...] = LEGS, T: int | None = None, rate: float = RATE) -> RawRecording:
     """Virtual raw sensors without noise on `motion`."""
     return synthesis.raw_recording(motion(T, rate), sensors, rng=3)
 
 
-def recording(sensors: tuple[str, ...] = LEGS, T: int = 240) -> Recording:
+def recording(sensors: tuple[str, ...] = LEGS, T: int | None = None) -> Recording:
     """Virtual calibrated sensors without noise on `motion`."""
     return synthesis.recording(motion(T), sensors)
 
@@ -76,7 +77,9 @@ def qmt_data(rec: RawRecording) -> dict[str, object]:
 
 
 def qmt(folder: Path, data: dict[str, object] | None = None) -> Path:
-    savemat(folder / "body.mat", data or qmt_data(raw(rate=100.0, T=400)), do_compression=True)
+    savemat(
+        folder / "body.mat", data or qmt_data(raw(rate=100.0, T=FRAMES + 160)), do_compression=True
+    )
     return folder / "body.mat"
 
 
@@ -272,7 +275,7 @@ DIP_17 = (
 )  # fmt: skip
 
 
-def dip_data(T: int = 240) -> dict[str, np.ndarray]:
+def dip_data(T: int | None = None) -> dict[str, np.ndarray]:
     """Variables of a DIP-IMU file, with the accelerations it lacks at both ends as NaN."""
     rec = recording(DIP_17, T)
     assert rec.reference is not None
