@@ -42,7 +42,7 @@ def check_pose(raw: RawRecording, window: Window, pose: Pose) -> list[Finding]:
         found.append(Finding("warning", None, "pose-not-still", text, float(window.rate)))
     for s, name in enumerate(raw.sensors):
         moved = float(pose.moved_deg[s])
-        if moved > max(MOVED_DEG, 2.5 * float(pose.wobble_deg[s])):
+        if moved > max(MOVED_DEG, 4.0 * float(pose.wobble_deg[s])):
             text = f"sensor {name}: moved by {moved:.1f} deg during the pose, {a:.2f} to {b:.2f} s"
             found.append(Finding("warning", name, "moved-in-pose", text, moved))
     return found

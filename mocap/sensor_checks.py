@@ -10,6 +10,7 @@ Reversing all axes of acc alone cannot be seen without an orientation from elsew
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import permutations, product
 
 import numpy as np
@@ -24,12 +25,13 @@ from mocap.recording import RawRecording
 CALM_S = 0.25  # a calm moment: acc hardly changes for this long and is as long as gravity
 CALM_ACC = 0.5  # m/s^2
 APART_S = 5.0  # calm moments further apart than this are not compared: gyr drifts
-MAX_PAIRS, MIN_PAIRS = 40, 4
+MAX_PAIRS, MIN_PAIRS = 40, 5
 TURNED = 0.5  # rad of rotation between them, at least, or every reading agrees
 DEG = np.pi / 180
-# Median disagreement of gravity above which a reversed axis is believed; and exchanged axes, of which
+# Disagreement of gravity above which a reversed axis is believed; and exchanged axes, of which
 # there are so many that one of them fits by chance more easily.
 BAD_DEG, BAD_EXCHANGED_DEG = 13.0, 25.0
+SURE_DEG = 25.0  # above which it is an error and not only a warning
 FAST, FASTEST = 20.0, 60.0  # rad/s: people seldom turn faster; no usual gyroscope measures faster
 GOOD_DEG = 8.0  # what a right reading reaches: gyr bias, and acc that is not quite calm
 GRAVITY_RANGE = (9.3, 10.3)  # m/s^2: more than bias and scale of any usual sensor
@@ -140,13 +142,14 @@ def _axes(
     # Of readings that do about equally well, the simplest: they are sorted.
     best = int(np.flatnonzero(off <= 1.15 * off.min() + 0.5)[0])
     doubt = BAD_DEG if np.abs(np.diag(trials[best])).all() else BAD_EXCHANGED_DEG
-    if plain < doubt or off[best] > min(0.4 * plain, GOOD_DEG):
+    if plain < doubt or off[best] > min(0.3 * plain, GOOD_DEG):
         return []
     head = (
         f"sensor {name}: between calm moments gyr turns gravity by {plain:.0f} deg against acc "
         f"({off[best]:.0f} deg if corrected): "
     )
-    return [_named(name, head, trials[best], None, plain)]
+    found = _named(name, head, trials[best], None, plain)
+    return [found if plain > SURE_DEG else replace(found, severity="warning")]
 
 
 def _calm_pairs(
@@ -187,7 +190,10 @@ def _calm_pairs(
 def _disagreement(
     readings: list[Array], gyr: Array, before: Array, after: Array, dt: float
 ) -> Array:
-    """Median angle (H,) in deg between `after` and `before` turned by each reading of gyr (W,n,3)."""
+    """Angle (H,) in deg between `after` and `before` turned by each reading of gyr (W,n,3).
+
+    The 70th percentile over the movements: not each of them turns about the axis in question.
+    """
     angles = []
     for M in readings:
         steps = ori.exp(gyr @ M.T * dt)
@@ -195,7 +201,7 @@ def _disagreement(
         for k in range(gyr.shape[1]):
             R = R @ steps[:, k]
         cos = np.clip(np.einsum("wi,wij,wj->w", before, R, after), -1, 1)
-        angles.append(float(np.degrees(np.median(np.arccos(cos)))))
+        angles.append(float(np.degrees(np.percentile(np.arccos(cos), 70))))
     return np.array(angles)
 
 

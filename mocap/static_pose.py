@@ -46,7 +46,7 @@ class Pose:
 
     R_world_sensor (S,3,3): chordal means. acc (S,3) m/s^2: mean specific force in the sensor's frame.
     moved_deg (S,): angle between the means of the first and the last third. wobble_deg (S,): rms angle
-    to the mean.
+    to these within the thirds.
     """
 
     R_world_sensor: Array
@@ -133,12 +133,19 @@ def average(raw: RawRecording, window: Window) -> Pose:
                 f"sensor {name}: no valid sample in the static pose, {a:.2f} to {b:.2f} s"
             )
         R[s], acc[s] = ori.mean(R_all[ok, s]), acc_all[ok, s].mean(axis=0)
-        wobble[s] = np.degrees(np.sqrt(np.mean(ori.angle_between(R[s], R_all[ok, s]) ** 2)))
         if len(ok) >= 3:
-            n = len(ok) // 3
-            ends = ori.mean(R_all[ok[:n], s]), ori.mean(R_all[ok[-n:], s])
-            moved[s] = np.degrees(ori.angle_between(*ends))
+            moved[s], wobble[s] = _drift(R_all[ok, s])
     return Pose(R, acc, moved, wobble)
+
+
+def _drift(R: Array) -> tuple[float, float]:
+    """Angle in deg between the means of the first and the last third, and the rms angle to them."""
+    n = len(R) // 3
+    thirds = R[:n], R[-n:]
+    means = [ori.mean(x) for x in thirds]
+    around = [ori.angle_between(m, x) for m, x in zip(means, thirds, strict=True)]
+    wobble = np.sqrt(np.mean(np.square(around)))
+    return float(np.degrees(ori.angle_between(*means))), float(np.degrees(wobble))
 
 
 def _around(raw: RawRecording, rate: Array, at: float) -> Window:
@@ -175,7 +182,10 @@ def _score(raw: RawRecording, rate: Array, a: int, b: int) -> float:
 
 
 def _lean_from_motion(raw: RawRecording, rate: Array, a: int, b: int) -> float:
-    """Median angle in deg, over trunk and legs, between up in the window and up while moving."""
+    """How far, in deg, up in the window is from up while moving: upper fifth over trunk and legs.
+
+    Not the median, because whoever sits has shanks and trunk upright as well.
+    """
     moving = rate > 3 * threshold(rate[np.isfinite(rate)])
     angles = []
     for s, name in enumerate(raw.sensors):
@@ -186,19 +196,7 @@ def _lean_from_motion(raw: RawRecording, rate: Array, a: int, b: int) -> float:
             u, v = here.mean(axis=0), there.mean(axis=0)
             cos = u @ v / max(np.linalg.norm(u) * np.linalg.norm(v), 1e-9)
             angles.append(np.degrees(np.arccos(np.clip(cos, -1, 1))))
-    return float(np.median(angles)) if angles else 0.0
-
-
-def upright_runs(
-    raw: RawRecording, runs: list[tuple[int, int]], pose: Pose, limit_deg: float = 10.0
-) -> list[tuple[int, int]]:
-    """Those runs in which most sensors are tilted as in the pose, within `limit_deg`."""
-    kept = []
-    for a, b in runs:
-        tilt = tilt_from_pose(raw, a, b, pose)
-        if np.isfinite(tilt).any() and np.nanmedian(tilt) < limit_deg:
-            kept.append((a, b))
-    return kept
+    return float(np.percentile(angles, 80)) if angles else 0.0
 
 
 def tilt_from_pose(raw: RawRecording, a: int, b: int, pose: Pose) -> Array:

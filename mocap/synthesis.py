@@ -198,6 +198,7 @@ def raw_recording(
     for a in (acc, gyr, mag, reported):
         a[d.lost] = np.nan
     truth = _describe(noise, d)
+    del truth["mounting_rotvec"]  # drawn, but the uniform mounting takes its place here
     truth["R_bone_sensor"] = mounting.tolist()
     return RawRecording(
         motion.rate_hz, sensors, gyr, acc, mag, reported, ~d.lost, reference=motion, truth=truth
