@@ -27,6 +27,7 @@ from mocap import orientation as ori
 from mocap import sensors as places
 from mocap.errors import CalibrationError
 from mocap.findings import Finding
+from mocap.motion import Motion
 from mocap.orientation import Array
 from mocap.recording import RawRecording, Recording
 from mocap.static_pose import Pose, Window, average, find_static
@@ -129,8 +130,8 @@ class Calibration:
         """The calibrated recording of `raw`, which must have these sensors (others are left out).
 
         Uses R_world_sensor of `raw`; where it has none, or the calibration was made with VQF, it is
-        fused again. A reference motion is turned into the world of the result by the heading of the
-        pelvis (or what stands for it). Raises CalibrationError where a sensor is missing.
+        fused again. A reference motion is turned so that its pelvis faces +z during the pose, as the
+        result does. Raises CalibrationError where a sensor is missing.
         """
         missing = [n for n in self.sensors if n not in raw.sensors]
         if missing:
@@ -148,20 +149,24 @@ class Calibration:
         R_turned = ori.rot_y(self.heading) @ raw.R_world_sensor
         acc = np.einsum("tsij,tsj->tsi", R_turned, raw.acc)
         acc[..., 1] -= ori.GRAVITY
-        reference = raw.reference
-        if reference is not None:
-            s = self.sensors.index(face.pelvis_first(self.sensors))
-            reference = reference.turned(float(self.heading[s]))
         return Recording(
             raw.rate_hz,
             self.sensors,
             R_turned @ np.swapaxes(self.R_bone_sensor, -1, -2),
             acc,
             valid=raw.valid & np.isfinite(raw.R_world_sensor).all((-1, -2)),
-            reference=reference,
+            reference=self._turned_reference(raw),
             calibration=self.to_dict(),
             start_s=raw.start_s,
         )
+
+    def _turned_reference(self, raw: RawRecording) -> Motion | None:
+        """The reference facing +z in the pose; None where the pose lies outside the recording."""
+        start, stop = (round((t - raw.start_s) * raw.rate_hz) for t in self.time)
+        if raw.reference is None or start < 0 or stop > len(raw):
+            return None
+        pelvis = raw.reference.R_world_joint[start:stop, 0]
+        return raw.reference.turned(-float(ori.heading(ori.mean(pelvis))))
 
 
 def pose_bones(joints: np.ndarray, pose: str = "n", arm_angle_deg: float = ARM_ANGLE_DEG) -> Array:

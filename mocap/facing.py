@@ -13,7 +13,7 @@ with 6-axis orientation each sensor has its own. What tells it:
 * a known axis of a sensor (mounted with x forward, say);
 * a second static pose: from N to T the arms turn about the forward axis;
 * motion: legs turn about the left-right axis in walking, squats, kicks, and knees flex backward; the
-  trunk leans forward further than backward.
+  trunk leans forward further than backward; in a gait each arm swings with the other side's leg.
 
 The motion cues use only what is independent of heading: in the sensor's own frame carried to the pose
 by C_s = R_ws(pose), the rate u = C_s gyr and the up vector v = C_s R_ws^T e_y. Turning about while
@@ -40,11 +40,12 @@ Index = NDArray[np.int64]
 DIRECTIONS = {"forward": 0.0, "left": np.pi / 2, "back": np.pi, "right": -np.pi / 2}
 # Floors of the uncertainty, deg: how far the axis of that segment's motion is from left-right in people
 # who walk or squat (feet point outward, arms swing inward), beyond what averaging can tell.
-HINGE_FLOOR = {"thigh": 8.0, "pocket": 8.0, "shank": 7.0, "foot": 12.0, "upper_arm": 20.0}
-HINGE_SIGN = {"thigh": 1.0, "pocket": 1.0, "shank": -1.0, "foot": -1.0, "upper_arm": 1.0}
+HINGE_FLOOR = {"thigh": 8.0, "pocket": 8.0, "shank": 7.0, "foot": 12.0}
+HINGE_SIGN = {"thigh": 1.0, "pocket": 1.0, "shank": -1.0, "foot": -1.0}
 # Not the pelvis: it tips backward in sitting and leg raising as far as forward in bending.
 LEAN = {"lower_back": 10.0, "upper_back": 10.0, "sternum": 10.0, "head": 20.0}
 FOREARMS = {"forearm": 45.0, "wrist": 45.0}  # elbows bend forward and inward
+SWING = {"upper_arm": 15.0, "forearm": 20.0, "wrist": 20.0}  # arms swing a little inward
 POSE_FLOOR_DEG = 6.0  # how exactly people raise their arms to the side
 KNOWN_FLOOR_DEG = 5.0  # how exactly a sensor is strapped on
 
@@ -147,6 +148,54 @@ def second_pose(
     return cues
 
 
+def arm_swing(raw: RawRecording, pose: Pose, legs: list[Cue]) -> list[Cue]:
+    """Cues for the arms from a gait: each arm swings with the leg of the other side.
+
+    With r the difference of the forward rates of the two legs (thighs, else shanks; zero in squats and
+    jumps) below 2 Hz and u the arm's rate, h(u) = c r i e^(i phi) with c > 0 for the right arm and
+    c < 0 for the left, so phi = arg(+-sum h(u) r) - pi/2. It has a sign, unlike a principal axis, and
+    arms that rise sideways meanwhile do not count. None where the coherence is below 0.5.
+    """
+    known = {c.sensor: c for c in legs}
+    for part in ("thigh", "pocket", "shank"):
+        if f"left_{part}" in known and f"right_{part}" in known:
+            pair = known[f"left_{part}"], known[f"right_{part}"]
+            break
+    else:
+        return []
+    rate = [
+        np.real(_rate(raw, pose, c.sensor) * np.conj(1j * np.exp(1j * c.heading))) for c in pair
+    ]
+    r = rate[0] - rate[1]
+    if np.sqrt(np.mean(r**2)) < 0.3:
+        return []
+    walking = np.abs(r) > 0.5 * np.sqrt(np.mean(r**2))
+    cues = []
+    for name in raw.sensors:
+        if kind(name) not in SWING:
+            continue
+        h = _rate(raw, pose, name) * (1.0 if name.startswith("right") else -1.0)
+        z, weight = (h * r)[walking], np.abs(h * r)[walking]
+        coherence = abs(z.sum()) / np.sqrt(
+            (np.abs(h[walking]) ** 2).sum() * (r[walking] ** 2).sum()
+        )
+        if coherence < 0.5:
+            continue
+        sigma = np.hypot(_jackknife(z, weight), np.radians(SWING[kind(name)]))
+        phi = float(wrap(np.angle(z.sum()) - np.pi / 2))
+        cues.append(Cue(name, phi, float(sigma), "arm swing"))
+    return cues
+
+
+def _rate(raw: RawRecording, pose: Pose, sensor: str) -> Array:
+    """h(u) (T,) of one sensor below 2 Hz, zero where it is invalid."""
+    s = raw.sensors.index(sensor)
+    u, _, frames = carried(raw, pose, s)
+    full = np.zeros((len(raw), 3))
+    full[frames] = u
+    return complex_heading(lowpass(full, 2.0, raw.rate_hz))
+
+
 def from_motion(raw: RawRecording, pose: Pose, window: Window, arms_hang: bool = True) -> list[Cue]:
     """Cues from whatever the legs, the trunk and (arms_hang: in an N-pose) the arms do."""
     cues = []
@@ -157,7 +206,7 @@ def from_motion(raw: RawRecording, pose: Pose, window: Window, arms_hang: bool =
         if len(u) < 2 * raw.rate_hz:
             continue
         k = kind(name)
-        if k in HINGE_FLOOR and (arms_hang or k != "upper_arm"):
+        if k in HINGE_FLOOR:
             cue = hinge(name, u, v, HINGE_FLOOR[k], HINGE_SIGN[k])
         elif k in LEAN:
             cue = lean(name, v, LEAN[k], -1.0, raw.rate_hz)
@@ -167,7 +216,7 @@ def from_motion(raw: RawRecording, pose: Pose, window: Window, arms_hang: bool =
             cue = None
         if cue is not None:
             cues.append(cue)
-    return cues
+    return cues + (arm_swing(raw, pose, cues) if arms_hang else [])
 
 
 def hinge(name: str, u: Array, v: Array, floor_deg: float, sign: float) -> Cue | None:
