@@ -100,7 +100,7 @@ def detect(path: Path) -> Format:
             head = f.read(4096)
         if not head:
             raise FormatError(path, "the file is empty")
-    suffix = path.suffix.lower()
+    suffix = "" if path.is_dir() else path.suffix.lower()
     tried = [f for f in registry() if suffix in f.suffixes]
     for fmt in tried:
         if fmt.sniff(path, head):
@@ -115,8 +115,8 @@ def detect(path: Path) -> Format:
 def read(path: str | Path, options: Options | None = None) -> Document:
     """Read a file of any known format. Raises FormatError (one sentence naming file and place)."""
     path = Path(path)
-    fmt = detect(path)
     try:
+        fmt = detect(path)
         return fmt.read(path, options or Options())
     except FormatError:
         raise

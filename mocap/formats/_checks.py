@@ -171,7 +171,7 @@ def gravity_size(acc: Array, rate_hz: float) -> Array:
 
 def raw(path: Path, rec: RawRecording) -> list[str]:
     """Warnings on a raw recording; raises FormatError where units or axes contradict gravity."""
-    doubts = gap_report(np.asarray(rec.valid), rec.sensors)
+    doubts = gap_report(rec.valid, rec.sensors)
     doubts += _accelerometer(path, rec)
     doubts += _gyroscope(path, rec)
     if rec.R_world_sensor is not None:
@@ -317,9 +317,9 @@ def _up(path: Path, rec: RawRecording) -> list[str]:
 
 def calibrated(path: Path, rec: Recording) -> list[str]:
     """Warnings on a calibrated recording; raises FormatError where gravity is in or acc is in g."""
-    doubts = gap_report(np.asarray(rec.valid), rec.sensors)
+    doubts = gap_report(rec.valid, rec.sensors)
     for s, name in enumerate(rec.sensors):
-        a = rec.acc_world[np.asarray(rec.acc_valid)[:, s], s]
+        a = rec.acc_world[rec.acc_valid[:, s], s]
         if len(a) < rec.rate_hz:
             continue
         mean = a.mean(axis=0)
@@ -329,16 +329,16 @@ def calibrated(path: Path, rec: Recording) -> list[str]:
             raise FormatError(path, f"{found}, expected about 0: gravity must be removed", where)
         if np.linalg.norm(mean) > 1.5:
             doubts.append(f"{where}: {found}, expected about 0 without gravity")
-    return doubts + _against_reference(path, rec)
+    return doubts + against_reference(path, rec)
 
 
-def _against_reference(path: Path, rec: Recording) -> list[str]:
+def against_reference(path: Path, rec: Recording) -> list[str]:
     """Orientation and acceleration against a reference motion, where there is one."""
     if rec.reference is None:
         return []
     doubts = []
     R_ref = rec.reference.R_world_joint[:, rec.joint]
-    use = np.asarray(rec.ori_valid)
+    use = rec.ori_valid
     for s, name in enumerate(rec.sensors):
         if use[:, s].any():
             off = ori.angle_between(rec.R_world_bone[use[:, s], s], R_ref[use[:, s], s])
@@ -362,7 +362,7 @@ def _acc_ratio(rec: Recording) -> float | None:
     if rec.reference is None or len(rec) < rec.rate_hz or "pelvis" not in rec.sensors:
         return None
     root = rec.sensors.index("pelvis")
-    p = sensor_positions(rec.reference, np.asarray(rec.joint), np.asarray(rec.placement))
+    p = sensor_positions(rec.reference, rec.joint, rec.placement)
     n = max(3, round(rec.rate_hz / 10))
     want = second_difference(p - p[:, [root]], rec.rate_hz)
     have = rec.acc_world - rec.acc_world[:, [root]]

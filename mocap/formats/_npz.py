@@ -68,12 +68,7 @@ def load(path: Path, wanted: Iterable[str]) -> dict[str, np.ndarray]:
 
 def _member(path: Path, archive: zipfile.ZipFile, name: str, info: zipfile.ZipInfo) -> np.ndarray:
     where = f"array {name!r}"
-    if info.file_size > BOMB_BYTES and info.file_size > BOMB_RATIO * max(info.compress_size, 1):
-        raise FormatError(
-            path, f"{info.file_size >> 20} MiB packed in {info.compress_size} bytes", where
-        )
-    if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise FormatError(path, "compressed by a method other than deflate", where)
+    _refuse_bomb(path, info, where)
     try:
         with warnings.catch_warnings(), archive.open(info) as stream:
             warnings.simplefilter("error")
@@ -89,6 +84,41 @@ def _member(path: Path, archive: zipfile.ZipFile, name: str, info: zipfile.ZipIn
             return np.lib.format.read_array(stream, allow_pickle=False)
     except (*BROKEN, RecursionError) as e:
         raise FormatError(path, "damaged or cut short", where) from e
+
+
+def load_objects(path: Path, name: str) -> list[Any]:
+    """The items of a one-dimensional object array, unpickled without running anything in it.
+
+    For foreign data sets whose archives hold sequences of different lengths. Raises FormatError as
+    `load` does, and where the pickle holds more than arrays and plain containers.
+    """
+    from mocap.formats import _unpickle
+
+    where = f"array {name!r}"
+    try:
+        with zipfile.ZipFile(path) as archive:
+            info = archive.getinfo(f"{name}.npy")
+            if info.file_size > MAX_BYTES:
+                raise FormatError(path, f"declares {info.file_size >> 20} MiB", where)
+            _refuse_bomb(path, info, where)
+            with archive.open(info) as stream:
+                shape, _ = _header(stream)
+                data = stream.read()
+    except (*BROKEN, RecursionError) as e:
+        raise FormatError(path, "damaged or cut short", where) from e
+    items = _unpickle.loads(data, path)
+    if not isinstance(items, np.ndarray) or items.shape != shape or len(shape) != 1:
+        raise FormatError(path, f"declares {shape}, expected a list of sequences", where)
+    return list(items)
+
+
+def _refuse_bomb(path: Path, info: zipfile.ZipInfo, where: str) -> None:
+    if info.file_size > BOMB_BYTES and info.file_size > BOMB_RATIO * max(info.compress_size, 1):
+        raise FormatError(
+            path, f"{info.file_size >> 20} MiB packed in {info.compress_size} bytes", where
+        )
+    if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise FormatError(path, "compressed by a method other than deflate", where)
 
 
 def _header(stream: Any) -> tuple[tuple[int, ...], np.dtype[Any]]:

@@ -1,12 +1,13 @@
-"""OpenSim's names: the mapping file of its IMU reader, and bodies of its models as places."""
+"""Names of sensors: OpenSim's bodies as places, its mapping file, and mappings that users give."""
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
 from mocap.errors import FormatError
-from mocap.formats import _xml
+from mocap.formats import Options, _xml
 from mocap.sensors import PLACES
 
 _BODIES = {
@@ -14,6 +15,7 @@ _BODIES = {
     "calcn": "foot", "talus": "foot", "humerus": "upper_arm", "radius": "forearm",
     "ulna": "forearm", "hand": "hand", "thorax": "sternum", "skull": "head",
 }  # fmt: skip
+MAX_MAPPING = 1 << 20
 TORSO = "the torso sensor is taken to sit on the sternum"
 
 
@@ -46,6 +48,29 @@ def read_mapping(path: Path) -> tuple[str, dict[str, str]]:
     if not names:
         raise FormatError(path, "names no ExperimentalSensor")
     return prefix, names
+
+
+def given(options: Options) -> dict[str, str]:
+    """{name in the file: place} as the user gave it: in words, a JSON object, or OpenSim's mapping file.
+
+    Raises FormatError where the file is neither.
+    """
+    mapping = options.mapping
+    if mapping is None or isinstance(mapping, dict):
+        return mapping or {}
+    path = Path(mapping)
+    if path.suffix.lower() == ".xml":
+        _, names = read_mapping(path)
+        return {k: place(v) for k, v in names.items()} | {v: place(v) for v in names.values()}
+    if not path.is_file() or path.stat().st_size > MAX_MAPPING:
+        raise FormatError(path, "no mapping file, or too large for one")
+    try:
+        found = json.loads(path.read_bytes())
+    except (ValueError, RecursionError) as e:
+        raise FormatError(path, "not a JSON object of sensor names and places") from e
+    if not isinstance(found, dict) or not all(isinstance(v, str) for v in found.values()):
+        raise FormatError(path, "not a JSON object of sensor names and places")
+    return found
 
 
 def unknown(names: tuple[str, ...]) -> list[str]:

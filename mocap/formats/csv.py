@@ -254,7 +254,7 @@ def _read(path: Path, options: Options) -> Document:
     tables = [_parse(p) for p in files]
     declared = _merged(path, tables)
     rate, frames_of, T, start, doubts = _clock(path, tables, declared, options)
-    given = options.mapping if isinstance(options.mapping, dict) else {}
+    given = _opensim.given(options)
     names = [n for t in tables for n in t.sensors]
     columns = [c for t in tables for c in t.sensors.values()]
     frames = [f for f, t in zip(frames_of, tables, strict=True) for _ in t.sensors]

@@ -163,6 +163,8 @@ def _turned(path: Path, quat: Array, names: tuple[str, ...], tag: str) -> Array:
 
 def _body(take: _Take, options: Options) -> tuple[Skeleton, list[str]]:
     """The table's body at the wearer's stature: by the height of the head joint over the toes."""
+    if options.smpl is not None:
+        return Skeleton.from_smpl_file(options.smpl), []
     if options.height is not None:
         return Skeleton.default(options.height), []
     table = Skeleton.default()

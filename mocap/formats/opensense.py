@@ -64,11 +64,7 @@ def _is_nan(cell: str) -> bool:
 
 
 def _names(columns: list[str], options: Options) -> tuple[str, ...]:
-    if isinstance(options.mapping, Path):
-        _, listed = _opensim.read_mapping(options.mapping)
-        given = {v: _opensim.place(v) for v in listed.values()}
-    else:
-        given = options.mapping or {}
+    given = _opensim.given(options)
     return tuple(given.get(c, _opensim.place(c)) for c in columns)
 
 
@@ -113,7 +109,7 @@ def _read(path: Path, options: Options) -> Document:
             "no acceleration in the file; gyr is the rate of the orientation",
             *([_opensim.TORSO] if "sternum" in sensors else []),
         ),
-        (*doubts, *_opensim.unknown(sensors), *_checks.gap_report(np.asarray(rec.valid), sensors)),
+        (*doubts, *_opensim.unknown(sensors), *_checks.gap_report(rec.valid, sensors)),
     )
 
 

@@ -19,7 +19,7 @@ from scipy.io import loadmat, whosmat
 
 from mocap import orientation as ori
 from mocap.errors import CalibrationError, FormatError
-from mocap.formats import Document, Format, Options, _checks
+from mocap.formats import Document, Format, Options, _checks, _opensim
 from mocap.orientation import Array
 from mocap.recording import RawRecording
 from mocap.static_pose import find_static
@@ -201,8 +201,7 @@ def _field(
 
 def _read(path: Path, options: Options) -> Document:
     data = _load(path)
-    given = options.mapping if isinstance(options.mapping, dict) else {}
-    names = {**PLACES, **given}
+    names = {**PLACES, **_opensim.given(options)}
     segments = [n for n in names if n in data and hasattr(data[n], "_fieldnames")]
     if "t" not in data or not segments:
         raise FormatError(path, f"no variable t and no segment among {', '.join(PLACES)}")

@@ -159,14 +159,16 @@ def _files(folder: Path, prefix: str) -> list[Path]:
 
 def _mapping(folder: Path, options: Options) -> tuple[str, dict[str, str], str]:
     """Trial prefix, {device: place}, and where the names come from."""
-    if isinstance(options.mapping, dict):
-        return "", {k.lstrip("_"): v for k, v in options.mapping.items()}, ""
-    beside = sorted(p for p in folder.glob("*.xml") if b"ExperimentalSensor" in _head(p))
-    path = options.mapping or (beside[0] if len(beside) == 1 else None)
+    path = options.mapping
+    if isinstance(path, dict) or (path is not None and path.suffix.lower() != ".xml"):
+        return "", {k.lstrip("_"): v for k, v in _opensim.given(options).items()}, ""
+    if path is None:
+        beside = sorted(p for p in folder.glob("*.xml") if b"ExperimentalSensor" in _head(p))
+        path = beside[0] if len(beside) == 1 else None
     if path is None:
         return "", {}, ""
-    prefix, names = _opensim.read_mapping(Path(path))
-    return prefix, {k: _opensim.place(v) for k, v in names.items()}, f"named by {Path(path).name}"
+    prefix, names = _opensim.read_mapping(path)
+    return prefix, {k: _opensim.place(v) for k, v in names.items()}, f"named by {path.name}"
 
 
 def _head(path: Path) -> bytes:

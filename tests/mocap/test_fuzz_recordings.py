@@ -14,7 +14,18 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from mocap.errors import PoserError
-from mocap.formats import Document, Options, csv, mvnx, native, opensense, qmt, xsens_mtw
+from mocap.formats import (
+    Document,
+    Options,
+    csv,
+    dip,
+    mvnx,
+    native,
+    opensense,
+    qmt,
+    totalcapture,
+    xsens_mtw,
+)
 
 WRITERS: dict[str, tuple[object, Callable[[Path], Path]]] = {
     "native recording": (native, files.native_recording),
@@ -24,6 +35,10 @@ WRITERS: dict[str, tuple[object, Callable[[Path], Path]]] = {
     "mtw": (xsens_mtw, lambda d: files.mtw(d) / "MT_trial_00B40001.txt"),
     "mvnx": (mvnx, files.mvnx),
     "csv": (csv, files.csv_wide),
+    "dip": (dip, files.dip),
+    "dip release": (dip, files.dip_npz),
+    "totalcapture": (totalcapture, files.totalcapture),
+    "totalcapture pickle": (totalcapture, files.tc_pkl),
 }
 TOKENS = (
     b"nan",

@@ -10,7 +10,18 @@ import recording_files as files
 
 from mocap import orientation as ori
 from mocap.errors import FormatError
-from mocap.formats import Options, _checks, csv, mvnx, opensense, qmt, xsens_mtw
+from mocap.formats import (
+    Document,
+    Options,
+    _checks,
+    csv,
+    dip,
+    mvnx,
+    opensense,
+    qmt,
+    totalcapture,
+    xsens_mtw,
+)
 from mocap.motion import Motion
 from mocap.recording import RawRecording, Recording
 
@@ -246,6 +257,20 @@ def test_mtw_names_by_the_user(tmp_path: Path) -> None:
     assert document.content.sensors == ("left_wrist",)  # type: ignore[union-attr]
 
 
+def test_names_from_a_file(tmp_path: Path) -> None:
+    """A JSON object, or OpenSim's mapping file, names the sensors of any format."""
+    path = files.csv_wide(tmp_path)
+    (tmp_path / "names.json").write_text('{"pelvis": "lower_back"}')
+    document = csv.FORMAT.read(path, Options(mapping=tmp_path / "names.json"))
+    assert _raw(document).sensors[0] == "lower_back"
+    xml = files.mtw(tmp_path) / "mapping.xml"
+    document = opensense.FORMAT.read(files.sto(tmp_path), Options(mapping=xml))
+    assert _raw(document).sensors == files.LEGS
+    (tmp_path / "names.json").write_text('["pelvis"]')
+    with pytest.raises(FormatError, match="not a JSON object of sensor names"):
+        csv.FORMAT.read(path, Options(mapping=tmp_path / "names.json"))
+
+
 def test_the_real_opensense_files(shared: Path) -> None:
     document = xsens_mtw.FORMAT.read(shared / "data/opensense", NONE)
     rec = _raw(document)
@@ -288,6 +313,92 @@ def test_mvnx_without_sensors_is_a_motion(tmp_path: Path) -> None:
     np.testing.assert_allclose(
         document.content.p_world_joint, files.mvn_motion().p_world_joint, atol=1e-4
     )
+
+
+# ---------------------------------------------------------------------------------- DIP, TotalCapture
+
+
+def _recording(document: Document) -> Recording:
+    assert isinstance(document.content, Recording)
+    return document.content
+
+
+def test_dip_pickle(tmp_path: Path) -> None:
+    document = dip.FORMAT.read(files.dip(tmp_path), NONE)
+    have, want = _recording(document), files.recording(files.DIP_17)
+    assert have.sensors == files.DIP_17 and have.rate_hz == 60
+    np.testing.assert_allclose(have.R_world_bone, want.R_world_bone, atol=1e-9)
+    np.testing.assert_allclose(have.acc_world, want.acc_world, atol=1e-9)
+    assert have.reference is not None and want.reference is not None
+    np.testing.assert_allclose(
+        have.reference.R_world_joint, want.reference.R_world_joint, atol=1e-9
+    )
+    assert np.ptp(have.reference.p_world_root, axis=0).max() == 0
+
+
+def test_dip_dropouts(tmp_path: Path) -> None:
+    """NaN orientation and acceleration: invalid there, counted, and nowhere else."""
+    data = files.dip_data()
+    data["imu_ori"][50:60, 3] = np.nan
+    data["imu_acc"][50:60, 3] = np.nan
+    document = dip.FORMAT.read(files.dip(tmp_path, data), NONE)
+    have = _recording(document)
+    assert np.argwhere(~have.valid).tolist() == [[t, 3] for t in range(50, 60)]
+    assert (
+        "10 of 4080 samples" in document.warnings[0]
+        and "left_shoulder_blade 10" in document.warnings[0]
+    )
+
+
+def test_dip_release(tmp_path: Path) -> None:
+    path = files.dip_npz(tmp_path)
+    document = dip.FORMAT.read(path, NONE)
+    have, want = _recording(document), files.recording(files.SIX).slice(1, 239)
+    to_root = np.swapaxes(want.R_world_bone[:, 5:], -1, -2)
+    np.testing.assert_allclose(have.R_world_bone, to_root @ want.R_world_bone, atol=1e-9)
+    assert have.reference is not None and want.reference is not None
+    major = list(dip.JOINTS_15)
+    np.testing.assert_allclose(
+        have.reference.R_parent_joint[:, major], want.reference.R_parent_joint[:, major], atol=1e-9
+    )
+    assert len(dip.read_release(path)) == 2
+    assert document.warnings == ("2 sequences in the file; only the first is read",)
+
+
+def test_totalcapture(tmp_path: Path) -> None:
+    """The files' conventions undone: bones, and accelerations without gravity, come back."""
+    document = totalcapture.FORMAT.read(files.totalcapture(tmp_path), NONE)
+    have = _recording(document)
+    want = files.recording(tuple(files.TC_SENSORS.values()))
+    assert have.sensors == want.sensors
+    assert np.rad2deg(ori.angle_between(have.R_world_bone, want.R_world_bone)).max() < 0.001
+    np.testing.assert_allclose(have.acc_world[1:-1], want.acc_world[1:-1], atol=1e-4)
+    assert document.warnings == ()
+
+
+def test_totalcapture_without_calibration_is_raw(tmp_path: Path) -> None:
+    document = totalcapture.FORMAT.read(files.totalcapture(tmp_path, calibrated=False), NONE)
+    rec = _raw(document)
+    assert rec.R_world_sensor is not None and rec.mag is not None
+    force = np.einsum("tsij,tsj->tsi", rec.R_world_sensor, rec.acc)[:60]
+    np.testing.assert_allclose(force, np.broadcast_to([0, ori.GRAVITY, 0], force.shape), atol=1e-3)
+    assert "no calibration files" in document.warnings[0]
+
+
+def test_totalcapture_pickle(tmp_path: Path) -> None:
+    """Legs first in the file, forearms first here."""
+    document = totalcapture.FORMAT.read(files.tc_pkl(tmp_path), NONE)
+    have, want = _recording(document), files.recording(files.SIX).slice(0, 239)
+    assert have.sensors == files.SIX and len(have) == 239
+    np.testing.assert_allclose(have.R_world_bone, want.R_world_bone, atol=1e-9)
+    np.testing.assert_allclose(have.acc_world[1:-1], want.acc_world[1:-1], atol=1e-9)
+    assert "lengths differ by 1" in document.warnings[0]
+
+
+def test_pickles_are_told_apart(tmp_path: Path) -> None:
+    for path, module in ((files.dip(tmp_path), dip), (files.tc_pkl(tmp_path), totalcapture)):
+        found = [m for m in (dip, totalcapture) if m.FORMAT.sniff(path, path.read_bytes()[:4096])]
+        assert found == [module]
 
 
 # ------------------------------------------------------------------------------------------- checks

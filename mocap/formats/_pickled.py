@@ -1,0 +1,77 @@
+"""What the pickled data sets share: fields of a dictionary as checked arrays, poses without a path."""
+
+from __future__ import annotations
+
+import mmap
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mocap.errors import FormatError
+from mocap.formats import Options
+from mocap.motion import Motion
+from mocap.orientation import Array
+from mocap.skeleton import Skeleton
+
+LARGEST_ANGLE = 30.0  # rad: accumulated turns reach some 4 pi, degrees reach 90
+
+
+def mentions(path: Path, key: bytes) -> bool:
+    """Whether the file's bytes hold `key`: enough to tell one data set from another."""
+    with path.open("rb") as f, mmap.mmap(f.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        return data.find(key) >= 0
+
+
+def fields(path: Path) -> dict[str, Any]:
+    """The dictionary a pickle holds, read without running anything in it."""
+    from mocap.formats import _unpickle
+
+    data = _unpickle.load(path)
+    if not isinstance(data, dict):
+        raise FormatError(path, f"holds a {type(data).__name__}, expected a dictionary")
+    return {k.decode("latin1") if isinstance(k, bytes) else str(k): v for k, v in data.items()}
+
+
+def array(path: Path, data: dict[str, Any], name: str) -> Array:
+    """One field as a float array; raises FormatError where it is missing or not numbers."""
+    if name not in data:
+        known = ", ".join(list(data)[:12])
+        raise FormatError(path, f"field {name!r} is missing (there is: {known[:200]})")
+    return numbers(path, data[name], f"field {name}")
+
+
+def numbers(path: Path, value: Any, where: str) -> Array:
+    """An array or nested list of real numbers as float64."""
+    try:
+        found = np.asarray(value)
+    except (ValueError, TypeError, OverflowError) as e:
+        raise FormatError(path, "is no array of numbers", where) from e
+    if found.dtype.kind not in "fiu" or found.ndim == 0:
+        raise FormatError(path, f"is {found.dtype} {found.shape}, expected real numbers", where)
+    return found.astype(float)
+
+
+def body(options: Options) -> Skeleton:
+    """The body that the user told: an SMPL file, a height, or the table's."""
+    if options.smpl is not None:
+        return Skeleton.from_smpl_file(options.smpl)
+    return Skeleton.default(options.height)
+
+
+def reference(
+    path: Path, rate_hz: float, poses: Array, skeleton: Skeleton
+) -> tuple[Motion | None, list[str]]:
+    """Motion of SMPL axis-angle (T,72) rad in our world, the pelvis staying at its rest place.
+
+    None, with a doubt, where some pose is not finite: a reference cannot have holes.
+    """
+    bad = ~np.isfinite(poses).all(axis=1)
+    if bad.any():
+        return None, [f"{int(bad.sum())} of {len(poses)} poses are not finite: no reference"]
+    if np.abs(poses).max() > LARGEST_ANGLE:
+        t, j = np.unravel_index(int(np.abs(poses).argmax()), poses.shape)
+        raise FormatError(
+            path, f"is {poses[t, j]:.1f}, expected radians", f"frame {t}, gt column {j}"
+        )
+    return Motion.from_smpl(rate_hz, poses, np.zeros((len(poses), 3)), skeleton), []

@@ -1,0 +1,151 @@
+"""DIP-IMU: the pickles of the recording sessions, and the npz release that networks are trained on.
+
+Pickle: `imu_ori` (N,17,3,3) bone orientations in the y-up SMPL world, `imu_acc` (N,17,3) m/s^2 in that
+world without gravity, `gt` (N,72) SMPL axis-angle; 60 Hz, no translation, no shape; NaN where a sensor
+dropped out.
+
+npz: sequences of `orientation` (T,45), `acceleration` (T,15), `smpl_pose` (T,135): five sensors (the six
+without the pelvis) relative to the pelvis sensor, R_p^T R_s and R_p^T (a_s - a_p), and the local
+rotations of 15 joints, all as flattened matrices. The pelvis' own orientation is not in the file.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mocap.errors import FormatError
+from mocap.formats import Document, Format, Options, _checks, _npz, _pickled
+from mocap.motion import Motion
+from mocap.recording import Recording
+from mocap.sensors import SIX
+
+SENSORS: tuple[str, ...] = (
+    "head", "sternum", "pelvis", "left_shoulder_blade", "right_shoulder_blade", "left_upper_arm",
+    "right_upper_arm", "left_forearm", "right_forearm", "left_thigh", "right_thigh", "left_shank",
+    "right_shank", "left_hand", "right_hand", "left_foot", "right_foot",
+)  # fmt: skip
+"""The 17 in the order of the file: head, spine2, belly, chest, shoulder, elbow, hip, knee, wrist, ankle."""
+
+JOINTS_15 = (1, 2, 3, 4, 5, 6, 9, 12, 13, 14, 15, 16, 17, 18, 19)
+"""Joints of `smpl_pose`; the others (pelvis, ankles, feet, wrists, hands) are the identity there."""
+
+RATE = 60.0
+_RELEASE = ("orientation", "acceleration", "smpl_pose")
+MAX_SEQUENCES = 100_000
+
+
+def _read_pickle(path: Path, options: Options) -> Document:
+    data = _pickled.fields(path)
+    R, acc, pose = (_pickled.array(path, data, n) for n in ("imu_ori", "imu_acc", "gt"))
+    T = len(R)
+    for name, value, shape in (
+        ("imu_ori", R, (T, 17, 3, 3)), ("imu_acc", acc, (T, 17, 3)), ("gt", pose, (T, 72)),
+    ):  # fmt: skip
+        if value.shape != shape or not T:
+            raise FormatError(path, f"is {value.shape}, expected {shape}", f"field {name}")
+    rate = options.rate_hz or RATE
+    R = _checks.rotations(path, R, SENSORS, "imu_ori")
+    motion, doubts = _pickled.reference(path, rate, pose, _pickled.body(options))
+    rec = Recording(rate, SENSORS, R, acc, reference=motion)
+    assumed = (
+        f"rate {rate:g} Hz, as the data set states",
+        "no translation in the file: the pelvis of the reference stays in place",
+    )
+    return Document("dip", rec, assumed, (*doubts, *_checks.calibrated(path, rec)))
+
+
+def read_release(path: str | Path, options: Options | None = None) -> list[Recording]:
+    """All sequences of an npz release, as recordings in the frame of the pelvis.
+
+    Six sensors; the pelvis reads the identity and no acceleration, so the world's vertical and heading
+    are lost. Raises FormatError naming the sequence and field that does not fit.
+    """
+    path, options = Path(path), options or Options()
+    columns = {name: _sequences(path, name) for name in _RELEASE}
+    counts = {name: len(c) for name, c in columns.items()}
+    if len(set(counts.values())) != 1:
+        found = ", ".join(f"{v} of {k}" for k, v in counts.items())
+        raise FormatError(path, f"holds {found}, expected as many of each")
+    together = zip(*columns.values(), strict=True)
+    return [_sequence(path, i, parts, options) for i, parts in enumerate(together)]
+
+
+def _sequences(path: Path, name: str) -> list[Any]:
+    """The sequences of one array: rows of an object array, or of an ordinary (clips, T, k) one."""
+    try:
+        with zipfile.ZipFile(path) as archive, archive.open(f"{name}.npy") as stream:
+            pickled = b"|O" in stream.read(256).split(b"\n", 1)[0]
+    except KeyError as e:
+        raise FormatError(path, f"array {name!r} is missing") from e
+    except _npz.BROKEN as e:
+        raise FormatError(path, "not a whole .npz archive: damaged or cut short") from e
+    if pickled:
+        found: Any = _npz.load_objects(path, name)
+    else:
+        found = _npz.load(path, (name,))[name]
+    if getattr(found, "ndim", 1) == 2 and not pickled:
+        found = [found]
+    if not isinstance(found, np.ndarray | list) or not 1 <= len(found) <= MAX_SEQUENCES:
+        raise FormatError(path, f"array {name!r} holds no list of sequences")
+    return list(found)
+
+
+def _sequence(path: Path, index: int, parts: tuple[Any, ...], options: Options) -> Recording:
+    """One sequence from its orientation (T,45), acceleration (T,15) and smpl_pose (T,135)."""
+    where = f"sequence {index}"
+    R5, acc5, R15 = (
+        _pickled.numbers(path, value, f"{where}: {name}")
+        for name, value in zip(_RELEASE, parts, strict=True)
+    )
+    T = len(R5)
+    for name, value, width in zip(_RELEASE, (R5, acc5, R15), (45, 15, 135), strict=True):
+        if value.shape != (T, width) or not T:
+            raise FormatError(
+                path, f"is {value.shape}, expected ({T}, {width})", f"{where}: {name}"
+            )
+    names = SIX[:5]
+    R = np.tile(np.eye(3), (T, 6, 1, 1))
+    R[:, :5] = _checks.rotations(path, R5.reshape(T, 5, 3, 3), names, f"{where}: orientation")
+    acc = np.full((T, 6, 3), np.nan)
+    acc[:, :5] = acc5.reshape(T, 5, 3)
+    joints = tuple(f"joint {j}" for j in JOINTS_15)
+    local = _checks.rotations(path, R15.reshape(T, 15, 3, 3), joints, f"{where}: smpl_pose")
+    rate, body = options.rate_hz or RATE, _pickled.body(options)
+    reference = None
+    if np.isfinite(local).all():
+        R24 = np.tile(np.eye(3), (T, 24, 1, 1))
+        R24[:, JOINTS_15] = local
+        reference = Motion(rate, R24, np.tile(body.offsets[0], (T, 1)), body)
+    return Recording(rate, SIX, R, acc, reference=reference, notes=("in the pelvis frame",))
+
+
+def _read_release(path: Path, options: Options) -> Document:
+    recordings = read_release(path, options)
+    rec = recordings[0]
+    doubts = []
+    if len(recordings) > 1:
+        doubts.append(f"{len(recordings)} sequences in the file; only the first is read")
+    assumed = (
+        f"rate {options.rate_hz or RATE:g} Hz, as the data set states",
+        "all is relative to the pelvis sensor, which therefore reads the identity: the vertical is lost",
+    )
+    # No test of mean acceleration: in the pelvis' turning frame it is not zero.
+    doubts += [*_checks.gap_report(rec.valid, rec.sensors), *_checks.against_reference(path, rec)]
+    return Document("dip", rec, assumed, tuple(doubts))
+
+
+def _read(path: Path, options: Options) -> Document:
+    return (_read_release if path.suffix.lower() == ".npz" else _read_pickle)(path, options)
+
+
+def _sniff(path: Path, head: bytes) -> bool:
+    if path.suffix.lower() == ".npz":
+        return set(_RELEASE) <= _npz.names(path)
+    return _pickled.mentions(path, b"imu_ori")
+
+
+FORMAT = Format("dip", (".pkl", ".npz"), _sniff, _checks.quiet(_read))

@@ -1,0 +1,70 @@
+"""Breaking small good files, and demanding one sentence from whoever reads them."""
+
+from __future__ import annotations
+
+import re
+import resource
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mocap.errors import FormatError, PoserError
+from mocap.formats import Format, Options
+
+Break = Callable[[Path], Path]
+Cases = dict[str, tuple[Break, str]]
+SECONDS, MEGABYTES = 10.0, 400
+LEFT_HANDED = np.diag([1.0, 1, -1])
+DEG = 180 / np.pi
+BOMB = '<!DOCTYPE mvnx [<!ENTITY a "0"><!ENTITY b "&a;&a;&a;&a;"><!ENTITY c "&b;&b;&b;&b;">]>'
+
+
+def must_fail(path: Path, reader: Format, message: str = "") -> None:
+    """Reading fails with one sentence about this file that matches `message`, fast and small."""
+    before, start = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.monotonic()
+    with pytest.raises(PoserError) as caught:
+        reader.read(path, Options())
+    text = str(caught.value)
+    assert "\n" not in text and len(text) - len(str(path)) < 400, text
+    if isinstance(caught.value, FormatError):
+        # The error may be in a file beside or inside it.
+        assert str(path if path.is_dir() else path.parent) in text, text
+    assert re.search(message, text), text
+    assert time.monotonic() - start < SECONDS
+    grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+    assert grown < MEGABYTES * 1024, f"{grown // 1024} MiB"
+
+
+def cut(path: Path, keep: float) -> Path:
+    """The file with only the first part of its bytes."""
+    data = path.read_bytes()
+    path.write_bytes(data[: int(keep * len(data))])
+    return path
+
+
+def replaced(path: Path, old: str, new: str, count: int = 1) -> Path:
+    """A text file with `old` replaced, which it must hold."""
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, count))
+    return path
+
+
+def one(array: np.ndarray, at: tuple[int, ...], value: object) -> np.ndarray:
+    """A copy of an array with one place written anew."""
+    array = array.copy()
+    array[at] = value
+    return array
+
+
+def parameters(*groups: tuple[Format, Cases]) -> Iterable[Any]:
+    """All cases for `pytest.mark.parametrize(("reader", "make", "message"), ...)`."""
+    return [
+        pytest.param(reader, make, message, id=f"{reader.name}: {case}")
+        for reader, cases in groups
+        for case, (make, message) in cases.items()
+    ]
