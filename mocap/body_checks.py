@@ -20,7 +20,7 @@ from mocap.orientation import Array
 from mocap.recording import RawRecording
 from mocap.static_pose import Pose, Window, still_runs, tilt_from_pose
 
-MOVED_DEG = 4.0
+MOVED_DEG = 5.0
 SLIPPED_DEG, REST_DEG = 12.0, 6.0  # tilt of one sensor since the pose; of the others meanwhile
 # Segments that people hold differently each time they stand still.
 LOOSE_DEG = {"head": 30.0, "hand": 30.0, "forearm": 25.0, "wrist": 25.0, "upper_arm": 18.0}
@@ -42,7 +42,7 @@ def check_pose(raw: RawRecording, window: Window, pose: Pose) -> list[Finding]:
         found.append(Finding("warning", None, "pose-not-still", text, float(window.rate)))
     for s, name in enumerate(raw.sensors):
         moved = float(pose.moved_deg[s])
-        if moved > max(MOVED_DEG, 4.0 * float(pose.wobble_deg[s])):
+        if moved > max(MOVED_DEG, 5.0 * float(pose.wobble_deg[s])):
             text = f"sensor {name}: moved by {moved:.1f} deg during the pose, {a:.2f} to {b:.2f} s"
             found.append(Finding("warning", name, "moved-in-pose", text, moved))
     return found

@@ -27,7 +27,8 @@ from mocap.skeleton import JOINTS, PARENTS
 
 # Bands (Hz) in which segments move together: slower, integrated tilt errors rule; faster, limbs swing.
 BANDS = ((0.1, 0.5), (0.2, 1.0), (0.3, 2.0))
-MIN_COHERENCE = 0.6
+MIN_COHERENCE, GOOD_COHERENCE = 0.4, 0.6
+DOUBT_DEG = 25.0  # added to the floor where the coherence is only the former
 MIN_ACC = 0.08  # m/s^2 rms: below, tilt errors of half a degree look the same
 # Floor of the uncertainty, deg: for neighbours, and for every further joint between the two.
 FLOOR_DEG, FLOOR_PER_JOINT_DEG = 8.0, 6.0
@@ -111,7 +112,8 @@ def _pair(a: int, b: int, h: Array, n: float, apart: int) -> Relative | None:
     c = float(abs(z) / np.sqrt(power[0] * power[1]))
     if c < MIN_COHERENCE:
         return None
-    floor = np.radians(FLOOR_DEG + FLOOR_PER_JOINT_DEG * max(apart - 1, 0))
+    floor = FLOOR_DEG + FLOOR_PER_JOINT_DEG * max(apart - 1, 0)
+    floor = np.radians(floor + (DOUBT_DEG if c < GOOD_COHERENCE else 0.0))
     sigma = np.sqrt((1 - c**2) / (2 * c**2 * n) + floor**2)
     return Relative(a, b, float(np.angle(z)), float(sigma), c)
 

@@ -164,6 +164,9 @@ def _around(raw: RawRecording, rate: Array, at: float) -> Window:
 
 def _calmest(rate: Array, a: int, b: int, rate_hz: float) -> tuple[int, int]:
     """The calmest part of [a, b) that lasts at most MAX_S."""
+    # Smoothing hides the first movement at either end.
+    trim = min(round(SMOOTH_S / 2 * rate_hz), (b - a - round(MIN_S * rate_hz)) // 2)
+    a, b = a + max(trim, 0), b - max(trim, 0)
     n = min(b - a, max(1, round(MAX_S * rate_hz)))
     sums = np.convolve(rate[a:b], np.ones(n), mode="valid")
     k = a + int(np.argmin(sums))
