@@ -18,7 +18,7 @@ import numpy as np
 
 from mocap import orientation as ori
 from mocap.errors import FormatError
-from mocap.formats import Content, Document, Format, Options, _checks, _opensim, _text
+from mocap.formats import Content, Document, Format, Options, _checks, _opensim, _physics, _text
 from mocap.formats._files import write_aside
 from mocap.orientation import Array
 from mocap.recording import RawRecording
@@ -211,7 +211,7 @@ def _in_si(
     doubts = []
     acc = _unit(path, "acc", _ACC_UNITS, declared, options)
     if acc is None:
-        still = _checks.gravity_size(rec.acc, rec.rate_hz)
+        still = _physics.gravity_size(rec.acc, rec.rate_hz)
         size = float(np.median(still[np.isfinite(still)])) if np.isfinite(still).any() else np.nan
         near = [u for u in ("g", "mg") if abs(size * _ACC_UNITS[u] / ori.GRAVITY - 1) < 0.15]
         unit = near[0] if near else "m/s^2"
@@ -221,7 +221,7 @@ def _in_si(
     gyr = _unit(path, "gyr", _GYR_UNITS, declared, options)
     rec = replace(rec, acc=rec.acc * acc)
     if gyr is None:
-        in_degrees = _checks.gyr_in_degrees(rec)
+        in_degrees = _physics.gyr_in_degrees(rec)
         gyr = _GYR_UNITS["deg/s" if in_degrees else "rad/s"]
         doubts.append(
             f"the unit of gyr is not declared; read as {'deg/s' if in_degrees else 'rad/s'}"
@@ -283,7 +283,7 @@ def _read(path: Path, options: Options) -> Document:
     ignored = sorted({c for t in tables for c in t.ignored})
     if ignored:
         doubts.append(f"columns not read: {', '.join(ignored[:12])}")
-    doubts += [*_opensim.unknown(sensors), *_checks.raw(path, rec)]
+    doubts += [*_opensim.unknown(sensors), *_physics.raw(path, rec)]
     return Document("csv", rec, tuple(assumed), tuple(doubts))
 
 

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from mocap.errors import FormatError
-from mocap.formats import Document, Format, Options, _checks, _npz, _pickled
+from mocap.formats import Document, Format, Options, _checks, _npz, _physics, _pickled
 from mocap.motion import Motion
 from mocap.recording import Recording
 from mocap.sensors import SIX
@@ -55,7 +55,7 @@ def _read_pickle(path: Path, options: Options) -> Document:
         f"rate {rate:g} Hz, as the data set states",
         "no translation in the file: the pelvis of the reference stays in place",
     )
-    return Document("dip", rec, assumed, (*doubts, *_checks.calibrated(path, rec)))
+    return Document("dip", rec, assumed, (*doubts, *_physics.calibrated(path, rec)))
 
 
 def read_release(path: str | Path, options: Options | None = None) -> list[Recording]:
@@ -134,7 +134,7 @@ def _read_release(path: Path, options: Options) -> Document:
         "all is relative to the pelvis sensor, which therefore reads the identity: the vertical is lost",
     )
     # No test of mean acceleration: in the pelvis' turning frame it is not zero.
-    doubts += [*_checks.gap_report(rec.valid, rec.sensors), *_checks.against_reference(path, rec)]
+    doubts += [*_checks.gap_report(rec.valid, rec.sensors), *_physics.against_reference(path, rec)]
     return Document("dip", rec, assumed, tuple(doubts))
 
 

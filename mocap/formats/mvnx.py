@@ -17,7 +17,7 @@ import numpy as np
 
 from mocap import orientation as ori
 from mocap.errors import FormatError, ShapeError
-from mocap.formats import Document, Format, Options, _checks, _text, _xml
+from mocap.formats import Document, Format, Options, _checks, _physics, _text, _xml
 from mocap.motion import Motion
 from mocap.orientation import Array
 from mocap.recording import Recording
@@ -273,7 +273,7 @@ def _read(path: Path, options: Options) -> Document:
     if has_sensors and any(n in PLACES and n in take.segments for n in take.sensors):
         rec, more = _recording(path, take, R, motion, rate)
         assumed.append("sensors are mounted on their segments at their mean relative orientation")
-        doubts += more + _checks.calibrated(path, rec)
+        doubts += more + _physics.calibrated(path, rec)
         return Document("mvnx", rec, tuple(assumed), tuple(doubts))
     if motion is None:
         raise FormatError(path, f"neither sensors nor a whole body: no {', '.join(missing)}")

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from mocap.errors import FormatError, PoserError
-from mocap.formats import Content, Document, Format, Options, _checks, _npz
+from mocap.formats import Content, Document, Format, Options, _checks, _npz, _physics
 from mocap.formats._files import write_aside
 from mocap.motion import Motion
 from mocap.recording import RawRecording, Recording
@@ -232,10 +232,10 @@ def _read(path: Path, options: Options) -> Document:
     schema = _npz.Fields(path, _npz.load(path, ("schema",))).text("schema")
     if schema == RAW:
         raw = read_raw(path, options)
-        return Document("native", raw, warnings=tuple(_checks.raw(path, raw)))
+        return Document("native", raw, warnings=tuple(_physics.raw(path, raw)))
     if schema == RECORDING:
         recording = read_recording(path, options)
-        return Document("native", recording, warnings=tuple(_checks.calibrated(path, recording)))
+        return Document("native", recording, warnings=tuple(_physics.calibrated(path, recording)))
     raise FormatError(
         path, f"schema is {schema[:60]!r}; this version reads {RECORDING!r} and {RAW!r}"
     )

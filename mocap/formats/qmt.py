@@ -19,7 +19,7 @@ from scipy.io import loadmat, whosmat
 
 from mocap import orientation as ori
 from mocap.errors import CalibrationError, FormatError
-from mocap.formats import Document, Format, Options, _checks, _opensim
+from mocap.formats import Document, Format, Options, _checks, _opensim, _physics
 from mocap.orientation import Array
 from mocap.recording import RawRecording
 from mocap.static_pose import find_static
@@ -245,7 +245,7 @@ def _read(path: Path, options: Options) -> Document:
             f"gravity, residual of the rate: {found}",
             *assumed,
         ),
-        tuple(dict.fromkeys(doubts + _checks.raw(path, rec))),
+        tuple(dict.fromkeys(doubts + _physics.raw(path, rec))),
     )
 
 

@@ -23,7 +23,7 @@ import numpy as np
 
 from mocap import orientation as ori
 from mocap.errors import FormatError
-from mocap.formats import Document, Format, Options, _checks, _pickled, _text
+from mocap.formats import Document, Format, Options, _checks, _physics, _pickled, _text
 from mocap.orientation import Array
 from mocap.recording import RawRecording, Recording
 from mocap.sensors import SIX
@@ -225,11 +225,11 @@ def _read_sensors(path: Path, options: Options) -> Document:
         doubts.append("no calibration files beside it: read as a raw recording")
         assumed.append("the sensors' world is z-up, y-up here")
         rec = RawRecording(rate, sensors, gyr, data.acc, data.mag, ori.R_YUP_ZUP @ R_I_S)
-        return Document("totalcapture", rec, tuple(assumed), (*doubts, *_checks.raw(path, rec)))
+        return Document("totalcapture", rec, tuple(assumed), (*doubts, *_physics.raw(path, rec)))
     R_S_B = np.swapaxes(_calibration(bone, data.names), -1, -2) @ BONE
     R_M_S = WORLD @ _calibration(ref, data.names) @ R_I_S  # R_I_M^T = WORLD^T R(q), WORLD symmetric
     raw = RawRecording(rate, sensors, gyr, data.acc, data.mag, R_M_S)
-    doubts += [d for d in _checks.raw(path, raw) if d not in doubts]
+    doubts += [d for d in _physics.raw(path, raw) if d not in doubts]
     acc = np.einsum("tsij,tsj->tsi", R_M_S, data.acc) - np.array([0, ori.GRAVITY, 0])
     calibrated = Recording(rate, sensors, R_M_S @ R_S_B, acc, valid=raw.valid)
     assumed.append(f"calibrated by {bone.name} and {ref.name} as one public reader does")
@@ -239,7 +239,7 @@ def _read_sensors(path: Path, options: Options) -> Document:
     else:
         doubts += _limb_doubts(path, calibrated, _positions(positions))
         assumed.append(f"limb directions checked against {positions.name}; it makes no reference")
-    doubts += _checks.calibrated(path, calibrated)
+    doubts += _physics.calibrated(path, calibrated)
     return Document("totalcapture", calibrated, tuple(assumed), tuple(dict.fromkeys(doubts)))
 
 
@@ -264,7 +264,7 @@ def _read_pickle(path: Path, options: Options) -> Document:
         f"rate {rate:g} Hz; sensors legs first, as three of four public readers have it",
         "orientations are aligned to the pose of frame 0; the pelvis of the reference stays in place",
     )
-    doubts += [*said, *_checks.calibrated(path, rec)]
+    doubts += [*said, *_physics.calibrated(path, rec)]
     return Document("totalcapture", rec, assumed, tuple(doubts))
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from mocap import orientation as ori
 from mocap.errors import FormatError
-from mocap.formats import Document, Format, Options, _checks, _opensim, _text
+from mocap.formats import Document, Format, Options, _checks, _opensim, _physics, _text
 from mocap.orientation import Array
 from mocap.recording import RawRecording
 
@@ -219,7 +219,7 @@ def _read(path: Path, options: Options) -> Document:
         mag=columns.get("mag"),
         R_world_sensor=R,
     ).slice(start, stop)
-    doubts += [*_opensim.unknown(sensors), *_checks.raw(path, rec)]
+    doubts += [*_opensim.unknown(sensors), *_physics.raw(path, rec)]
     return Document("xsens_mtw", rec, tuple(assumptions), tuple(doubts))
 
 

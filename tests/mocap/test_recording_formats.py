@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 import recording_files as files
 
+from mocap import calibration, synthesis
 from mocap import orientation as ori
 from mocap.errors import FormatError
 from mocap.formats import (
     Document,
     Options,
     _checks,
+    _physics,
     csv,
     dip,
     mvnx,
@@ -131,12 +133,12 @@ def test_csv_degrees_without_orientation(tmp_path: Path) -> None:
     """Without quaternions, the turning of gravity in acc tells degrees from radians."""
     rec = files.raw(T=900)
     bare = RawRecording(rec.rate_hz, rec.sensors, rec.gyr * DEG, rec.acc)
-    assert _checks.gyr_in_degrees(bare)
+    assert _physics.gyr_in_degrees(bare)
     right = RawRecording(rec.rate_hz, rec.sensors, rec.gyr, rec.acc)
-    assert not _checks.gyr_in_degrees(right)
-    assert _checks.raw(tmp_path, right) == []
+    assert not _physics.gyr_in_degrees(right)
+    assert _physics.raw(tmp_path, right) == []
     with pytest.raises(FormatError, match="times what gravity in acc turns: in degrees"):
-        _checks.raw(tmp_path, bare)
+        _physics.raw(tmp_path, bare)
 
 
 def test_csv_gaps_empty_cells_and_odd_columns(tmp_path: Path) -> None:
@@ -206,7 +208,7 @@ def test_the_real_recording(shared: Path) -> None:
     assert ((force[:, 1] > 9.65) & (force[:, 1] < 10.2)).all()
     # gyr turns R_world_sensor: the residual of the fit is 0.8 to 4.1 %.
     for s in range(16):
-        assert _checks.rate_ratio(rec, s) == pytest.approx(1, abs=0.05)
+        assert _physics.rate_ratio(rec, s) == pytest.approx(1, abs=0.05)
     # The file's filter settles within 0.25 s; everything after is valid.
     assert rec.valid[25:].all() and not rec.valid[:10].any()
     # At 44 s the person stands with the trunk's x axes at about -107 deg.
@@ -291,10 +293,8 @@ def test_mvnx(tmp_path: Path) -> None:
     document = mvnx.FORMAT.read(files.mvnx(tmp_path), NONE)
     rec = document.content
     assert isinstance(rec, Recording) and rec.reference is not None
-    from mocap.synthesis import recording
-
     motion = files.mvn_motion()
-    want = recording(motion, tuple(files.MVN_SENSORS.values()))
+    want = synthesis.recording(motion, tuple(files.MVN_SENSORS.values()))
     assert rec.sensors == want.sensors and rec.rate_hz == files.RATE
     assert np.rad2deg(ori.angle_between(rec.R_world_bone, want.R_world_bone)).max() < 0.01
     np.testing.assert_allclose(rec.acc_world[1:-1], want.acc_world[1:-1], atol=1e-4)
@@ -402,6 +402,27 @@ def test_pickles_are_told_apart(tmp_path: Path) -> None:
 
 
 # ------------------------------------------------------------------------------------------- checks
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_realistic_noise_raises_no_alarm(tmp_path: Path, seed: int) -> None:
+    """Noise of the size that real sensors have is no contradiction; lost samples are reported."""
+    noise = synthesis.Noise()
+    moving = files.motion(T=600)
+    for doubts in (
+        _physics.raw(tmp_path, synthesis.raw_recording(moving, files.DIP_17, noise, seed)),
+        _physics.calibrated(tmp_path, synthesis.recording(moving, files.DIP_17, noise, seed)),
+    ):
+        assert len(doubts) == 1 and "samples are missing" in doubts[0]
+
+
+def test_a_table_of_orientations_can_be_calibrated(tmp_path: Path) -> None:
+    """`.sto` has no accelerations, yet its orientations make a recording for SOP."""
+    rec = _raw(opensense.FORMAT.read(files.sto(tmp_path), NONE))
+    have, _ = calibration.calibrate(rec, pose="t", at=0.5, facing=0.0, strict=False)
+    want = files.recording(rec.sensors)
+    assert have.ori_valid.all() and not have.acc_valid.any()
+    assert np.rad2deg(ori.angle_between(have.R_world_bone, want.R_world_bone)).max() < 0.05
 
 
 def test_grid_of_rounded_stamps(tmp_path: Path) -> None:
