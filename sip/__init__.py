@@ -1,0 +1,7 @@
+"""The offline optimizer: orientation, acceleration and anthropometric terms over whole sequences."""
+
+from sip.prior import Prior
+from sip.settings import Settings
+from sip.solve import solve
+
+__all__ = ["Prior", "Settings", "solve"]

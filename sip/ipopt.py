@@ -1,0 +1,248 @@
+"""IPOPT over the built problem: the same cost, gradient and Gauss-Newton matrix, limits as hard bounds.
+
+CasADi's `nlpsol` calls IPOPT; the three oracles are CasADi callbacks onto `sip.problem`, so the banded
+solver and IPOPT cannot disagree about the problem.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from mocap.errors import SolveError
+from mocap.orientation import Array
+from sip.band import Band
+from sip.banded import Progress, Result, scaled_norm
+from sip.kinematics import BODY
+from sip.problem import CONSTANTS, Problem
+from sip.terms.base import Point
+
+_WORDS = {
+    "Solve_Succeeded": "optimal within the tolerance",
+    "Solved_To_Acceptable_Level": "optimal within ten times the tolerance",
+    "Maximum_Iterations_Exceeded": "stopped at the iteration limit",
+}
+
+
+class _Oracle:
+    """Evaluates the problem at IPOPT's vector once, however many callbacks ask.
+
+    IPOPT sees unknowns in sigmas, z = scale * x with scale the root of the Gauss-Newton diagonal (median
+    over frames): its tolerances then mean the same for metres and radians.
+    """
+
+    def __init__(self, problem: Problem, point: Point):
+        self.problem, self.x0, self.R_ref = problem, point.x, point.R_ref
+        band = problem.hessian(point)
+        column = np.sqrt(np.median(band.diagonal[problem.fixed :], axis=0))
+        self.frames = problem.T - problem.fixed
+        self.scale = np.r_[np.tile(column, self.frames), np.sqrt(np.diag(band.corner))]
+        self.key: bytes | None = None
+        self.jacobian = False
+        self.interrupted: BaseException | None = None
+
+    def split(self, z: Array) -> tuple[Array, Array]:
+        """x (T,n) and u (S,7) of IPOPT's vector: the free frames, then the sensor constants."""
+        p = self.problem
+        values = z / self.scale
+        cut = self.frames * p.n
+        x = self.x0.copy()
+        x[p.fixed :] = values[:cut].reshape(-1, p.n)
+        u = values[cut:].reshape(-1, CONSTANTS) if p.border else np.zeros((p.S, CONSTANTS))
+        return x, u
+
+    def join(self, x: Array, tail: Array) -> Array:
+        """IPOPT's vector of x (T,n) and the sensor constants (g,)."""
+        return np.r_[x[self.problem.fixed :].ravel(), tail] * self.scale
+
+    def at(self, z: Array, jacobian: bool) -> Point:
+        key = z.tobytes()
+        if key != self.key or (jacobian and not self.jacobian):
+            x, u = self.split(z)
+            self.point = self.problem.point(x, self.R_ref, u, jacobian)
+            self.key, self.jacobian = key, jacobian
+        return self.point
+
+
+class _Callback(ca.Callback):
+    """A CasADi function whose numbers come from Python; an exception is kept and raised afterwards."""
+
+    def __init__(self, name: str, oracle: _Oracle, inputs: list[Any], outputs: list[Any], call: Any):
+        ca.Callback.__init__(self)
+        self.oracle, self.inputs, self.outputs, self.call_ = oracle, inputs, outputs, call
+        self.construct(name, {})
+
+    def get_n_in(self) -> int:
+        return len(self.inputs)
+
+    def get_n_out(self) -> int:
+        return len(self.outputs)
+
+    def get_sparsity_in(self, i: int) -> Any:
+        return self.inputs[i]
+
+    def get_sparsity_out(self, i: int) -> Any:
+        return self.outputs[i]
+
+    def has_eval_buffer(self) -> bool:
+        return True
+
+    def eval_buffer(self, arg: Any, res: Any) -> int:
+        try:
+            self.call_(np.frombuffer(arg[0], dtype=float), res)
+        except BaseException as e:  # IPOPT is C: the exception must not cross it
+            self.oracle.interrupted = e
+            return 1
+        return 0
+
+
+def _write(buffer: Any, values: Array) -> None:
+    if buffer is not None:
+        np.frombuffer(buffer, dtype=float)[:] = values
+
+
+class _Triangle:
+    """Upper triangle of the Gauss-Newton matrix in CasADi's column order, gathered from the band."""
+
+    def __init__(self, problem: Problem, scale: Array):
+        T, k, f, g, N = problem.T, problem.reach, problem.fixed, problem.border, problem.n
+        F = T - f
+        rows, cols, take = [], [], []
+        for d in range(k + 1):
+            # Constant terms touch what they touch; accelerations couple all within two frames, the root's
+            # smoothness only the root.
+            used = (problem._constant.blocks[:, d] != 0).any(axis=0)
+            if d <= problem.dense_reach:
+                used[:] = True
+            used[3:6, 3:6] = True
+            # blocks[t, d][i, j] = H[(t+d) i, t j]: upper entry (row t j, column (t+d) i).
+            i, j = np.nonzero(used if d else np.tril(used))
+            t = np.arange(f, T - d)
+            rows.append(((t[:, None] - f) * N + j).ravel())
+            cols.append(((t[:, None] + d - f) * N + i).ravel())
+            take.append((((t[:, None] * (k + 1) + d) * N + i) * N + j).ravel())
+        row, col, self.index = (np.concatenate(a) for a in (rows, cols, take))
+        self.f, self.g = f, g
+        self.corner = np.triu_indices(g)
+        if g:
+            r, c = np.meshgrid(np.arange(F * N), F * N + np.arange(g), indexing="ij")
+            row = np.concatenate([row, r.ravel(), F * N + self.corner[0]])
+            col = np.concatenate([col, c.ravel(), F * N + self.corner[1]])
+        self.order = np.lexsort((row, col))
+        n = F * N + g
+        colind = np.searchsorted(col[self.order], np.arange(n + 1))
+        self.sparsity = ca.Sparsity(n, n, colind.tolist(), row[self.order].tolist())
+        self.unscale = (1 / (scale[row] * scale[col]))[self.order]
+
+    def gather(self, band: Band) -> Array:
+        values = band.blocks.reshape(-1)[self.index]
+        if self.g:
+            tail = [band.border[self.f :].reshape(-1), band.corner[self.corner]]
+            values = np.concatenate([values, *tail])
+        return values[self.order] * self.unscale
+
+
+def _options(warm: bool, max_iterations: int, tolerance: float) -> dict[str, Any]:
+    ipopt: dict[str, Any] = {
+        "print_level": 0,
+        "sb": "yes",
+        "max_iter": max_iterations,
+        "tol": tolerance,
+        "acceptable_tol": 10 * tolerance,
+        "acceptable_iter": 3,
+        "linear_solver": "mumps",
+        "mumps_mem_percent": 100,
+        "nlp_scaling_method": "none",
+        "mu_strategy": "adaptive" if not warm else "monotone",
+        "honor_original_bounds": "yes",
+    }
+    if warm:
+        # The banded solution is all but optimal: start the barrier where it would end.
+        ipopt |= {
+            "mu_init": tolerance**2,
+            "warm_start_init_point": "yes",
+            "warm_start_bound_push": 1e-6,
+            "warm_start_bound_frac": 1e-6,
+            "warm_start_slack_bound_push": 1e-6,
+            "warm_start_slack_bound_frac": 1e-6,
+            "warm_start_mult_bound_push": 1e-8,
+        }
+    plain = {"print_time": False, "error_on_fail": False, "no_nlp_grad": True, "calc_lam_p": False}
+    return {"ipopt": ipopt, **plain}
+
+
+def minimise(
+    problem: Problem,
+    x: Array,
+    R_ref: Array,
+    u: Array,
+    warm: bool,
+    max_iterations: int = 200,
+    tolerance: float = 0.05,
+    progress: Progress | None = None,
+) -> Result:
+    """Minimise from x (T,n), R_ref (T,3,3), u (S,7) with lower <= body angles <= upper as bounds.
+
+    warm: the start is a solution of the same problem without hard bounds. tolerance: IPOPT's `tol`, in
+    sigmas: no unknown could win more than tolerance^2/2 of cost. KeyboardInterrupt and errors inside the
+    oracles are raised from here.
+    """
+    lower, upper = np.full((problem.T, problem.n), -np.inf), np.full((problem.T, problem.n), np.inf)
+    lower[:, BODY], upper[:, BODY] = problem.prior.lower, problem.prior.upper
+    oracle = _Oracle(problem, problem.point(np.clip(x, lower, upper), R_ref, u))
+    triangle = _Triangle(problem, oracle.scale)
+    size = len(oracle.scale)
+    vector, scalar, none = ca.Sparsity.dense(size), ca.Sparsity.dense(1), ca.Sparsity(0, 1)
+    count = 0
+
+    def f(z: Array, res: Any) -> None:
+        _write(res[0], np.array([problem.cost(oracle.at(z, False))]))
+
+    def grad_f(z: Array, res: Any) -> None:
+        point = oracle.at(z, True)
+        _write(res[0], np.array([problem.cost(point)]))
+        g, gu = problem.gradient(point)
+        _write(res[1], np.r_[g[problem.fixed :].ravel(), gu] / oracle.scale)
+
+    def hess(z: Array, res: Any) -> None:
+        nonlocal count
+        point = oracle.at(z, True)
+        count += 1
+        if progress:
+            progress(count, problem.cost(point))
+        _write(res[0], triangle.gather(problem.hessian(point)))
+
+    f_cb = _Callback("f", oracle, [vector], [scalar], f)
+    g_cb = _Callback("grad_f", oracle, [vector, none], [scalar, vector], grad_f)
+    h_cb = _Callback("hess_lag", oracle, [vector, none, scalar, none], [triangle.sparsity], hess)
+    z = ca.MX.sym("z", size)
+    options = _options(warm, max_iterations, tolerance)
+    solver = ca.nlpsol(
+        "sip", "ipopt", {"x": z, "f": f_cb(z)}, options | {"grad_f": g_cb, "hess_lag": h_cb}
+    )
+    free = np.full(problem.border, np.inf)
+    out = solver(
+        x0=oracle.join(oracle.x0, u.ravel()[: problem.border]),
+        lbx=oracle.join(lower, -free),
+        ubx=oracle.join(upper, free),
+    )
+    if oracle.interrupted is not None:
+        raise oracle.interrupted
+    stats = solver.stats()
+    z1 = out["x"].full().ravel()
+    if not np.isfinite(z1).all():
+        raise SolveError(f"IPOPT ended without a finite point: {stats['return_status']}")
+    xs, us = oracle.split(z1)
+    point = problem.point(np.clip(xs, lower, upper), R_ref, us)
+    g, gu = problem.gradient(point)
+    # On an active bound the multiplier balances the gradient.
+    lam = out["lam_x"].full().ravel() * oracle.scale
+    cut = oracle.frames * problem.n
+    g[problem.fixed :] += lam[:cut].reshape(-1, problem.n)
+    norm = scaled_norm(g, gu, problem.hessian(point))
+    status = str(stats["return_status"])
+    good = status in ("Solve_Succeeded", "Solved_To_Acceptable_Level")
+    words = _WORDS.get(status, status)
+    return Result(point, int(stats["iter_count"]), f"IPOPT: {words}", good, norm)

@@ -1,0 +1,115 @@
+"""The pose prior: mean, covariance and limits of the 69 body angles, from training motion only."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import as_file, files
+from pathlib import Path
+
+import numpy as np
+
+from mocap.errors import FormatError
+from mocap.orientation import Array
+
+_FLOOR = np.deg2rad(3.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """mean (69,) rad, covariance (69,69) rad^2, lower and upper limits (69,) rad of the body angles.
+
+    roughness (69,): relative size of each angle's second difference in training motion, mean one over
+    the joints that move. poses (P,69) rad: a thinned bank of training poses.
+    """
+
+    mean: Array
+    covariance: Array
+    lower: Array
+    upper: Array
+    roughness: Array
+    poses: Array
+
+    def given(self, active: tuple[int, ...]) -> Conditioned:
+        """The prior of the angles of some body joints, and what they tell about the others."""
+        a = np.concatenate([np.r_[3 * j - 3 : 3 * j] for j in active]) if active else np.zeros(0, int)
+        b = np.setdiff1d(np.arange(69), a)
+        S = self.covariance
+        # The floor keeps angles that hardly move from ruling the others.
+        gain = np.linalg.solve(S[np.ix_(a, a)] + _FLOOR**2 * np.eye(len(a)), S[np.ix_(a, b)]).T
+        rest = S[np.ix_(b, b)] - gain @ S[np.ix_(a, b)]
+        return Conditioned(self, a, b, gain, rest)
+
+    @classmethod
+    def load(cls, path: Path) -> Prior:
+        """Read a prior made by `scripts/make_prior.py`; raises FormatError."""
+        try:
+            with np.load(path, allow_pickle=False) as f:
+                parts = {k: np.asarray(f[k], float) for k in cls.__dataclass_fields__}
+        except (OSError, ValueError, KeyError) as e:
+            raise FormatError(path, f"not a prior file ({e})") from e
+        shapes = {"mean": (69,), "covariance": (69, 69), "lower": (69,), "upper": (69,)}
+        for name, shape in shapes.items():
+            if parts[name].shape != shape or not np.isfinite(parts[name]).all():
+                raise FormatError(path, f"must be finite with shape {shape}", name)
+        return cls(**parts)
+
+
+@dataclass(frozen=True, eq=False)
+class Conditioned:
+    """A Gaussian over 69 angles, split into active ones (a,) and passive ones (b,).
+
+    Passive joints are above no sensor: no measurement depends on them, so the posterior's mean for them is
+    mean_b + gain (theta_a - mean_a), gain = Sigma_ba (Sigma_aa + floor^2 I)^-1, exactly, and they need no
+    unknowns. rest (b,b): what remains uncertain of them.
+    """
+
+    prior: Prior
+    active: Array
+    passive: Array
+    gain: Array
+    rest: Array
+
+    @property
+    def mean(self) -> Array:
+        return self.prior.mean[self.active]
+
+    @property
+    def covariance(self) -> Array:
+        return self.prior.covariance[np.ix_(self.active, self.active)]
+
+    @property
+    def lower(self) -> Array:
+        return self.prior.lower[self.active]
+
+    @property
+    def upper(self) -> Array:
+        return self.prior.upper[self.active]
+
+    @property
+    def roughness(self) -> Array:
+        return self.prior.roughness[self.active]
+
+    def complete(self, theta: Array) -> Array:
+        """All angles (T,69) rad from the active ones (T,a); passive ones are kept within their limits."""
+        out = np.empty((len(theta), 69))
+        out[:, self.active] = theta
+        passive = self.prior.mean[self.passive] + (theta - self.mean) @ self.gain.T
+        b = self.passive
+        out[:, b] = np.clip(passive, self.prior.lower[b], self.prior.upper[b])
+        return out
+
+    def complete_variance(self, covariance: Array) -> Array:
+        """Variances (T,69) rad^2 from the covariance (T,a,a) of the active angles."""
+        out = np.empty((len(covariance), 69))
+        out[:, self.active] = np.einsum("tii->ti", covariance)
+        spread = np.einsum("bi,tij,bj->tb", self.gain, covariance, self.gain, optimize=True)
+        out[:, self.passive] = spread + np.diag(self.rest)
+        return out
+
+
+@cache
+def shipped() -> Prior:
+    """The prior that comes with the package."""
+    with as_file(files("sip").joinpath("prior.npz")) as path:
+        return Prior.load(path)

@@ -1,0 +1,61 @@
+"""Every number of the optimizer, with its unit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from mocap.errors import SolveError
+from mocap.motion import Motion
+from sip.prior import Prior, shipped
+
+DEG = np.pi / 180
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What to minimise and how.
+
+    terms: "sip", or "sop" without accelerations. solver: "ipopt" (banded start, IPOPT finish),
+    "ipopt-cold" (IPOPT alone), "banded" (no finish). start: "prior" or a motion.
+    Sigmas are one standard deviation of the measurement in SI units. smooth_*: sigma of the difference of
+    order smooth_order (2: rad/s^2 and m/s^2; 3: per s^3; 0: none). robust_delta: sigmas at which the
+    acceleration's cost turns from quadratic to linear.
+    """
+
+    terms: Literal["sop", "sip"] = "sip"
+    solver: Literal["ipopt", "ipopt-cold", "banded"] = "ipopt"
+    start: Literal["prior"] | Motion = "prior"
+    prior: Prior = field(default_factory=shipped)
+    sigma_orientation: float = 5 * DEG
+    sigma_acceleration: float = 0.5
+    robust_delta: float = 4.0
+    prior_weight: float = 0.3
+    prior_floor: float = 3 * DEG
+    sigma_limits: float = 5 * DEG
+    smooth_order: Literal[0, 2, 3] = 2
+    smooth_angle: float = 15.0
+    smooth_root: float = 15.0
+    smooth_position: float = 3.0
+    sigma_gauge: float = 100.0
+    self_calibration: bool = False
+    sigma_mounting: float = 4 * DEG
+    sigma_heading: float = 3 * DEG
+    sigma_bias: float = 0.1
+    max_iterations: int = 60
+    tolerance: float = 3e-4
+    coarse_hz: float = 15.0
+    window: int = 1200
+    overlap: int = 90
+    uncertainty: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("terms", "solver"):
+            allowed = {"terms": ("sop", "sip"), "solver": ("ipopt", "ipopt-cold", "banded")}[name]
+            if getattr(self, name) not in allowed:
+                raise SolveError(f"{name} must be one of {', '.join(allowed)}")
+        for name in ("sigma_orientation", "sigma_acceleration", "sigma_gauge", "robust_delta"):
+            if not getattr(self, name) > 0:
+                raise SolveError(f"{name} must be positive, got {getattr(self, name)!r}")

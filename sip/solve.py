@@ -1,0 +1,311 @@
+"""Whole sequences: from a recording to a `Solution`, in windows where it is long."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from mocap import orientation as ori
+from mocap.errors import SolveError
+from mocap.motion import Motion
+from mocap.orientation import Array
+from mocap.recording import Recording
+from mocap.skeleton import Skeleton
+from mocap.solution import Solution
+from sip import banded, initial, ipopt
+from sip import kinematics as kin
+from sip.band import Factor
+from sip.banded import Result
+from sip.kinematics import BODY, ROOT_P, ROOT_W
+from sip.prior import Conditioned
+from sip.problem import CONSTANTS, Problem, SensorKinematics, build, reference_root
+from sip.settings import Settings
+
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True)
+class Window:
+    """Frames start..stop-1 are solved together; those from `keep` on are replaced by the next window's."""
+
+    start: int
+    stop: int
+    keep: int
+
+
+def windows(frames: int, size: int, overlap: int) -> list[Window]:
+    """Windows of about equal size, at most `size` frames, each reaching `overlap` frames into the next."""
+    if frames <= size:
+        return [Window(0, frames, frames)]
+    count = int(np.ceil((frames - overlap) / (size - overlap)))
+    cuts = np.linspace(0, frames, count + 1).round().astype(int)
+    return [
+        Window(int(a), int(min(b + overlap, frames)), int(b))
+        for a, b in zip(cuts[:-1], cuts[1:], strict=True)
+    ]
+
+
+def solve(
+    recording: Recording,
+    skeleton: Skeleton | None = None,
+    settings: Settings | None = None,
+    progress: Progress | None = None,
+) -> Solution:
+    """Reference poses for a recording: SIP, or SOP, over the whole sequence.
+
+    skeleton: the body (default: the mean shape). progress(fraction, words) is called from time to time.
+    Raises SolveError where no frame has a usable orientation.
+    """
+    skeleton, settings = skeleton or Skeleton.default(), settings or Settings()
+    if not recording.ori_valid.any():
+        raise SolveError("the recording has no valid orientation of any sensor in any frame")
+    if isinstance(settings.start, Motion) and len(settings.start) != len(recording):
+        raise SolveError(
+            f"the start has {len(settings.start)} frames, the recording {len(recording)}"
+        )
+    began = time.perf_counter()
+    kinematics = SensorKinematics(skeleton, recording.joint, recording.placement)
+    plan = windows(len(recording), settings.window, settings.overlap)
+    parts: list[_Part] = []
+    # Blocks of 75 are too small for BLAS threads: waiting for each other they take several times longer.
+    with threadpool_limits(1, "blas"):
+        for i, w in enumerate(plan):
+            tell = _windowed(progress, i, len(plan))
+            before = parts[-1] if parts else None
+            part = _solve_window(recording, skeleton, settings, kinematics, w, before, tell)
+            parts.append(part)
+    prior = settings.prior.given(kinematics.active)
+    return _assemble(recording, skeleton, settings, prior, parts, time.perf_counter() - began)
+
+
+def _windowed(progress: Progress | None, i: int, count: int) -> Progress:
+    """Progress of window i as progress of the whole."""
+
+    def tell(fraction: float, words: str) -> None:
+        if progress:
+            where = f"window {i + 1} of {count}, " if count > 1 else ""
+            progress((i + fraction) / count, where + words)
+
+    return tell
+
+
+@dataclass
+class _Part:
+    """A solved window: x and R_ref of its frames (past not included), and what is reported."""
+
+    window: Window
+    x: Array
+    R_ref: Array
+    u: Array
+    u_std: Array | None
+    costs: dict[str, float]
+    residuals: dict[str, Array]
+    iterations: int
+    status: str
+    converged: bool
+    gradient_norm: float
+    std: Array | None
+
+
+def _solve_window(
+    recording: Recording,
+    skeleton: Skeleton,
+    settings: Settings,
+    kinematics: SensorKinematics,
+    window: Window,
+    before: _Part | None,
+    tell: Progress,
+) -> _Part:
+    piece = recording.slice(window.start, window.stop)
+    cold = settings.solver == "ipopt-cold"
+    u0 = np.zeros((kinematics.S, CONSTANTS)) if before is None else before.u
+    x, R_ref, u, iterations = _start(
+        piece, skeleton, settings, kinematics, window, u0, tell
+    )
+    # The last frames that the window before keeps are given: differences reach across the seam.
+    past = 0 if before is None else 3
+    if before is not None:
+        piece = recording.slice(window.start - past, window.stop)
+        k = before.window.keep - before.window.start
+        x[:, ROOT_P] += before.x[k, ROOT_P] - x[0, ROOT_P]
+        x = np.vstack([before.x[k - past : k], x])
+        R_ref = np.concatenate([before.R_ref[k - past : k], R_ref])
+    problem = build(piece, skeleton, settings, kinematics, fixed=past)
+    if cold:
+        result = ipopt.minimise(problem, x, R_ref, u, False, progress=_teller(tell, 0.3, 1, "IPOPT"))
+        iterations += result.iterations
+    else:
+        result = banded.minimise(problem, x, R_ref, u, progress=_teller(tell, 0.3, 0.7, "banded"))
+        iterations += result.iterations
+        if settings.solver == "ipopt":
+            p = result.point
+            result = ipopt.minimise(
+                problem, p.x, p.R_ref, p.u, True, progress=_teller(tell, 0.7, 1, "IPOPT finish")
+            )
+            iterations += result.iterations
+    return _part(problem, settings, window, result, iterations)
+
+
+def _teller(tell: Progress, start: float, stop: float, name: str) -> banded.Progress:
+    """Progress of a solver whose number of iterations is unknown: each step takes a part of the rest."""
+
+    def report(iteration: int, cost: float) -> None:
+        share = 1 - 0.85**iteration
+        tell(start + (stop - start) * share, f"{name} iteration {iteration}, cost {cost:.4g}")
+
+    return report
+
+
+def _start(
+    piece: Recording,
+    skeleton: Skeleton,
+    settings: Settings,
+    kinematics: SensorKinematics,
+    window: Window,
+    u: Array,
+    tell: Progress,
+) -> tuple[Array, Array, Array, int]:
+    """x, R_ref, u where the solve of a window starts, and the iterations that it took."""
+    prior = settings.prior.given(kinematics.active)
+    if isinstance(settings.start, Motion):
+        x, R_ref = initial.from_motion(settings.start.slice(window.start, window.stop), prior)
+        return x, R_ref, u, 0
+    x, R_ref = initial.from_prior(piece, skeleton, prior)
+    if settings.solver == "ipopt-cold":
+        if settings.terms == "sop":
+            return x, R_ref, u, 0
+        sop = build(piece, skeleton, replace(settings, terms="sop"), kinematics)
+        r = ipopt.minimise(sop, x, R_ref, u, False, progress=_teller(tell, 0, 0.3, "IPOPT SOP"))
+        return r.point.x, r.point.R_ref, r.point.u, r.iterations
+    factor = max(1, int(piece.rate_hz / settings.coarse_hz))
+    if len(piece) < 8 * factor:
+        factor = 1
+    coarse = initial.coarsened(piece, factor)
+    plain = replace(settings, self_calibration=False)
+    iterations = 0
+    xc, Rc = x[::factor], R_ref[::factor]
+    zero = np.zeros_like(u)
+    for terms in ("sop", "sip") if settings.terms == "sip" else ("sop",):
+        problem = build(coarse, skeleton, replace(plain, terms=terms), kinematics)
+        r = banded.minimise(
+            problem, xc, Rc, zero, tolerance=1e-3, progress=_teller(tell, 0, 0.3, f"coarse {terms}")
+        )
+        xc, Rc = r.point.x, r.point.R_ref
+        iterations += r.iterations
+    xc, Rc = kin.recentre(xc, Rc)
+    x, R_ref = initial.refined(xc, Rc, factor, len(piece), reference_root(piece))
+    return x, R_ref, u, iterations
+
+
+def _part(
+    problem: Problem, settings: Settings, window: Window, result: Result, iterations: int
+) -> _Part:
+    p, f = result.point, problem.fixed
+    residuals: dict[str, list[Array]] = {}
+    for term in problem.terms:
+        residuals.setdefault(term.name, []).append(term.residual(p))
+    flat = {k: v[0] if len(v) == 1 else np.concatenate(v, axis=1) for k, v in residuals.items()}
+    std = u_std = None
+    if settings.uncertainty or settings.self_calibration:
+        factor = Factor(problem.hessian(p), 1e-12)
+        if settings.self_calibration:
+            # The corner of the inverse is the inverse of the Schur complement.
+            inverse = np.linalg.inv(factor.schur @ factor.schur.T)
+            u_std = np.sqrt(np.diag(inverse)).reshape(-1, CONSTANTS)
+        if settings.uncertainty:
+            blocks = factor.inverse_blocks()[f:]
+            root = np.einsum("tii->ti", blocks[:, ROOT_W, ROOT_W])
+            body = problem.prior.complete_variance(blocks[:, BODY, BODY])
+            std = np.sqrt(np.hstack([root, body])).reshape(-1, 24, 3)
+    return _Part(
+        window, p.x[f:], p.R_ref[f:], p.u, u_std, problem.costs(p), flat, iterations,
+        result.status, result.converged, result.gradient_norm, std,
+    )  # fmt: skip
+
+
+def _seam(a: _Part, b: _Part) -> float:
+    """Largest over frames of the mean angle over joints, in rad, by which two windows' overlap differs."""
+    k = a.window.keep - a.window.start
+    n = len(a.x) - k
+    if n <= 0:
+        return 0.0
+    theta = [p.x[i : i + n, BODY].reshape(n, -1, 3) for p, i in ((a, k), (b, 0))]
+    body = ori.angle_between(ori.exp(theta[0]), ori.exp(theta[1]))
+    return float(body[: max(1, n // 2)].mean(axis=1).max())
+
+
+def _assemble(
+    recording: Recording,
+    skeleton: Skeleton,
+    settings: Settings,
+    prior: Conditioned,
+    parts: list[_Part],
+    seconds: float,
+) -> Solution:
+    def joined(get: Callable[[_Part], Array]) -> Array:
+        return np.concatenate([get(p)[: p.window.keep - p.window.start] for p in parts])
+
+    x, R_ref = joined(lambda p: p.x), joined(lambda p: p.R_ref)
+    R_root = R_ref @ ori.exp(x[:, ROOT_W])
+    theta = prior.complete(x[:, BODY])
+    p_root = x[:, ROOT_P] - x[0, ROOT_P]
+    motion = kin.unpack(p_root, R_root, theta, recording.rate_hz, skeleton)
+    cost: dict[str, float] = {}
+    for part in parts:
+        for name, value in part.costs.items():
+            cost[name] = cost.get(name, 0.0) + value
+    report: dict[str, Any] = {"windows": len(parts)}
+    if len(parts) > 1:
+        seams = [_seam(a, b) for a, b in zip(parts[:-1], parts[1:], strict=True)]
+        report["seam_deg"] = np.rad2deg(seams).tolist()
+    residuals = {
+        name: np.concatenate([p.residuals[name] for p in parts if name in p.residuals])
+        for name in parts[0].residuals
+    }
+    worst = max(parts, key=lambda p: (not p.converged, p.gradient_norm))
+    return Solution(
+        motion,
+        cost,
+        residuals,
+        _sigmas(recording, residuals),
+        sum(p.iterations for p in parts),
+        seconds,
+        worst.status,
+        all(p.converged for p in parts),
+        joined(lambda p: p.std) if parts[0].std is not None else None,  # type: ignore[arg-type, return-value]
+        worst.gradient_norm,
+        _constants(recording, parts) if settings.self_calibration else None,
+        report,
+    )
+
+
+def _sigmas(recording: Recording, residuals: dict[str, Array]) -> dict[str, float]:
+    """Root mean square of each term's whitened residuals, over what was measured."""
+    out = {}
+    for name, r in residuals.items():
+        used = r[np.abs(r).reshape(len(r), -1).sum(axis=1) > 0] if len(r) else r
+        if name in ("orientation", "acceleration"):
+            used = r[np.abs(r).sum(axis=-1) > 0]
+        out[name] = float(np.sqrt(np.mean(used**2))) if used.size else 0.0
+    return out
+
+
+def _constants(recording: Recording, parts: list[_Part]) -> dict[str, dict[str, Any]]:
+    """Self-calibrated constants per sensor: means over windows by frames, in rad and m/s^2."""
+    weight = np.array([len(p.x) for p in parts], float)
+    u = np.average([p.u for p in parts], axis=0, weights=weight)
+    out = {}
+    for s, name in enumerate(recording.sensors):
+        std = parts[-1].u_std[s] if parts[-1].u_std is not None else np.full(CONSTANTS, np.nan)
+        out[name] = {
+            "mounting_rad": u[s, :3].tolist(),
+            "heading_rad": float(u[s, 3]),
+            "bias_mps2": u[s, 4:].tolist(),
+            "std": std.tolist(),
+        }
+    return out

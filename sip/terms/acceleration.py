@@ -1,0 +1,108 @@
+"""Acceleration: R_y(heading) (p_{t-1} - 2 p_t + p_{t+1}) rate^2 + R_meas bias - acc_meas, robust."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mocap import orientation as ori
+from mocap.orientation import Array
+from sip.band import Band
+from sip.terms.base import Point
+
+
+class Acceleration:
+    """Residual (T-2,S,3) in sigmas, of frames 1..T-2 (SIP, eq. 8; the stencil is DIP's eq. 3).
+
+    Pseudo-Huber on the norm of each sensor's vector: cost delta^2 (sqrt(1 + |r|^2/delta^2) - 1), delta in
+    sigmas; the Gauss-Newton matrix carries the weights 1/sqrt(1 + |r|^2/delta^2).
+    sigma: m/s^2. valid (T,S). R_meas, acc_meas: as measured, zero where invalid.
+    """
+
+    name, reach, constant = "acceleration", 2, False
+
+    def __init__(
+        self,
+        sigma: float,
+        delta: float,
+        rate_hz: float,
+        acc_meas: Array,
+        R_meas: Array,
+        valid: Array,
+        border: bool,
+    ):
+        ok = valid[1:-1]
+        self.weight = ok.astype(float)[..., None] / sigma
+        self.delta, self.scale = delta, rate_hz**2
+        self.acc = np.where(ok[..., None], acc_meas[1:-1], 0.0)
+        self.R = np.where(ok[..., None, None], R_meas[1:-1], 0.0)
+        self.border = border
+
+    def _second_difference(self, point: Point) -> Array:
+        p = point.p
+        return (p[:-2] - 2 * p[1:-1] + p[2:]) * self.scale
+
+    def residual(self, point: Point) -> Array:
+        a = self._second_difference(point)
+        if self.border:
+            a = np.einsum("sij,tsj->tsi", ori.rot_y(point.u[:, 3]), a)
+            a = a + np.einsum("tsij,sj->tsi", self.R, point.u[:, 4:])
+        return (a - self.acc) * self.weight
+
+    def _robust(self, r: Array) -> Array:
+        """sqrt(1 + |r|^2/delta^2) per sensor and frame."""
+        return np.sqrt(1 + np.einsum("tsi,tsi->ts", r, r) / self.delta**2)
+
+    def cost(self, point: Point) -> float:
+        return self.delta**2 * float((self._robust(self.residual(point)) - 1).sum())
+
+    def _jacobian(self, point: Point) -> tuple[Array, Array | None]:
+        """d (heading-turned position)/dx (T,S,3,c) and d residual/du (T-2,S,3,4): heading, bias."""
+        if not self.border:
+            return point.p_x * self.scale, None
+        Ry = ori.rot_y(point.u[:, 3])
+        J = np.einsum("sij,tsjc->tsic", Ry, point.p_x, optimize=True) * self.scale
+        turned = np.einsum("sij,tsj->tsi", Ry, self._second_difference(point))
+        G = np.concatenate([np.cross([0, 1.0, 0], turned)[..., None], self.R], axis=-1)
+        return J, G
+
+    def pullback(self, point: Point, v: Array, grad: Array, grad_u: Array) -> None:
+        v = v * self.weight / self._robust(self.residual(point))[..., None]
+        J, G = self._jacobian(point)
+        # Each residual touches three frames with 1, -2, 1: difference v first, then one product a frame.
+        spread = np.zeros((len(J), *v.shape[1:]))
+        for k, c in enumerate((1.0, -2.0, 1.0)):
+            spread[k : k + len(v)] += c * v
+        T = len(grad)
+        grad += (spread.reshape(T, 1, -1) @ J.reshape(T, spread[0].size, -1))[:, 0]
+        if G is not None:
+            grad_u[:, 3:] += np.einsum("tsi,tsic->sc", v, G, optimize=True)
+
+    def hessian(self, point: Point, band: Band) -> None:
+        r = self.residual(point)
+        w = (self.weight / np.sqrt(self._robust(r))[..., None])[..., None]
+        J, G = self._jacobian(point)
+        M, S = r.shape[:2]
+        if M <= 0:
+            return
+        # Residual t is w_t (J_{t-1} - 2 J_t + J_{t+1}): gather the weights of each pair of frames first.
+        T, w2 = len(J), w**2
+        zero = np.zeros((1, *w2.shape[1:]))
+        before, here, after = (
+            np.concatenate([*[zero] * lead, w2, *[zero] * (2 - lead)]) for lead in (0, 1, 2)
+        )
+        # before[t]: weight of the residual centred on t + 1, in which frame t has coefficient 1.
+        flat = J.reshape(T, 3 * S, -1)
+        pairs = ((before + 4 * here + after), -2 * (before + here)[:-1], before[:-2])
+        for d, weight in enumerate(pairs):
+            left = (J[d:] * weight).reshape(T - d, 3 * S, -1)
+            H = np.swapaxes(left, 1, 2) @ flat[: T - d]
+            band.blocks[: T - d, d] += H
+        if G is None:
+            return
+        G = G * w
+        for s in range(S):
+            cols = slice(7 * s + 3, 7 * s + 7)
+            for k, c in enumerate((1.0, -2.0, 1.0)):
+                Js = c * J[k : k + M, s] * w[:, s]
+                band.border[k : k + M, :, cols] += np.swapaxes(Js, 1, 2) @ G[:, s]
+            band.corner[cols, cols] += np.einsum("tic,tid->cd", G[:, s], G[:, s])
