@@ -46,6 +46,7 @@ HINGE_SIGN = {"thigh": 1.0, "pocket": 1.0, "shank": -1.0, "foot": -1.0}
 LEAN = {"lower_back": 10.0, "upper_back": 10.0, "sternum": 10.0, "head": 20.0}
 FOREARMS = {"forearm": 45.0, "wrist": 45.0}  # elbows bend forward and inward
 SWING = {"upper_arm": 15.0, "forearm": 20.0, "wrist": 20.0}  # arms swing a little inward
+HANGING_FLOOR_DEG = 12.0  # arms come down a little forward, and forearms bend
 POSE_FLOOR_DEG = 6.0  # how exactly people raise their arms to the side
 KNOWN_FLOOR_DEG = 5.0  # how exactly a sensor is strapped on
 
@@ -148,6 +149,22 @@ def second_pose(
     return cues
 
 
+def hanging_arm(name: str, v: Array, rate_hz: float) -> Cue | None:
+    """A cue from an arm that hangs down at times, after a T-pose.
+
+    Lowered sideways from the T-pose, a left arm carries up to the right in its own frame, a right arm
+    to the left. Counted: frames in which it hangs within 45 deg; None for less than 1 s of them, or
+    where they point in several directions.
+    """
+    h = complex_heading(v) * (1.0 if name.startswith("right") else -1.0)
+    down = h[np.abs(h) > np.sin(np.radians(45))]
+    if len(down) < rate_hz or abs(down.sum()) < 0.8 * np.abs(down).sum():
+        return None
+    sigma = np.hypot(_jackknife(down, np.abs(down)), np.radians(HANGING_FLOOR_DEG))
+    phi = float(wrap(np.angle(down.sum()) - np.pi / 2))
+    return Cue(name, phi, float(sigma), "hanging arms")
+
+
 def arm_swing(raw: RawRecording, pose: Pose, legs: list[Cue]) -> list[Cue]:
     """Cues for the arms from a gait: each arm swings with the leg of the other side.
 
@@ -197,7 +214,7 @@ def _rate(raw: RawRecording, pose: Pose, sensor: str) -> Array:
 
 
 def from_motion(raw: RawRecording, pose: Pose, window: Window, arms_hang: bool = True) -> list[Cue]:
-    """Cues from whatever the legs, the trunk and (arms_hang: in an N-pose) the arms do."""
+    """Cues from whatever legs, trunk and arms do. arms_hang: the pose is an N-pose, not a T-pose."""
     cues = []
     for s, name in enumerate(raw.sensors):
         u, v, frames = carried(raw, pose, s)
@@ -212,6 +229,8 @@ def from_motion(raw: RawRecording, pose: Pose, window: Window, arms_hang: bool =
             cue = lean(name, v, LEAN[k], -1.0, raw.rate_hz)
         elif k in FOREARMS and arms_hang:
             cue = lean(name, v, FOREARMS[k], 1.0, raw.rate_hz)
+        elif k in SWING and not arms_hang:
+            cue = hanging_arm(name, v, raw.rate_hz)
         else:
             cue = None
         if cue is not None:

@@ -129,7 +129,7 @@ def solve(
     """Facing phi (S,) and its 1-sigma (S,), rad, from absolute and relative cues.
 
     Minimises sum (phi_s - cue)^2/sigma^2 + sum (phi_a - phi_b - delta)^2/sigma^2 over the circle,
-    started along the most certain path from the cues and reweighted (Huber, 2 sigma), because a single
+    started along the most certain path from the cues and reweighted (Cauchy, 2 sigma), because a single
     cue may be turned by 180 deg. Sensors that no cue reaches have sigma pi and phi NaN.
     """
     S = len(sensors)
@@ -149,9 +149,9 @@ def solve(
     value, sigma = (np.array([r[i] for r in rows]) for i in (2, 3))
     weight = sigma**-2
     x = phi[reached]
-    for _ in range(20):
+    for _ in range(50):
         r = wrap(value - A @ x)
-        w = weight * np.minimum(1, 2 * sigma / np.maximum(np.abs(r), 1e-12))
+        w = weight / (1 + (r / (2 * sigma)) ** 2)
         step = np.linalg.solve(A.T @ (w[:, None] * A), A.T @ (w * r))
         x = x + step
         if np.abs(step).max() < 1e-9:

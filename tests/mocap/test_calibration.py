@@ -86,6 +86,38 @@ def test_gyr_and_acc_alone_give_the_bones(motion: Motion) -> None:
     assert error[:, legs].mean() < 2.0
 
 
+def test_six_sensors_with_headings_of_their_own(motion: Motion) -> None:
+    """The shanks from their hinge, the forearms from the gait, the rest by shared acceleration."""
+    rec, cal = calibrate(raw_of(motion.turned(0.7), places.SIX), orientation="vqf")
+    assert "arm swing" in cal.method
+    assert error_deg(rec, motion).mean(axis=0).max() < 5.0
+
+
+def test_magnetometers_give_one_heading(motion: Motion) -> None:
+    raw = raw_recording(motion.turned(0.7), places.SIX, NOISES["none"], 0)
+    rec, cal = calibrate(raw, orientation="vqf")
+    assert np.ptp(cal.heading) == 0
+    assert error_deg(rec, motion).mean() < 2.0
+
+
+def test_hanging_arms_tell_the_facing_after_a_t_pose() -> None:
+    motion = n_to_t()
+    raw = raw_of(motion.turned(-1.0), ARMS)
+    rec, cal = calibrate(raw, pose="t", at=4.0)
+    assert cal.method == "hanging arms"
+    assert error_deg(rec, motion).max() < 0.1
+
+
+def test_accelerometers_are_scaled_to_gravity(motion: Motion, raw: RawRecording) -> None:
+    clean = calibrate(raw)[0].acc_world
+    rec, cal = calibrate(replace(raw, acc=1.02 * raw.acc))
+    assert cal.acc_scale == pytest.approx(np.full(17, 1 / 1.02))
+    assert np.nanmax(np.abs(rec.acc_world - clean)) < 1e-5
+    rec, cal = calibrate(replace(raw, acc=1.02 * raw.acc), scale_acc=False)
+    assert (cal.acc_scale == 1).all()
+    assert np.nanmedian(rec.acc_world[:100, :, 1]) == pytest.approx(0.196, abs=1e-3)
+
+
 def test_turning_the_world_about_gravity_changes_nothing(raw: RawRecording) -> None:
     rec, _ = calibrate(raw)
     turned, cal = calibrate(replace(raw, R_world_sensor=ori.rot_y(2.1) @ raw.R_world_sensor))
