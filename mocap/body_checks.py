@@ -110,14 +110,19 @@ def activity(raw: RawRecording) -> Array:
     return np.asarray(np.log(uniform_filter1d((gyr**2).sum(-1), n, axis=0) + 0.05))
 
 
-def check_swapped(raw: RawRecording, joints: np.ndarray) -> list[Finding]:
+def check_swapped(
+    raw: RawRecording, joints: np.ndarray, R_world_sensor: Array | None = None
+) -> list[Finding]:
     """Are left and right exchanged on one level of a limb?
 
     d_x = (activity of the left sensor) - (that of the right one) on level x, say the shanks. While
     one leg swings, its thigh, shank and foot are all the busier ones: d_x and d_y correlate. A pair
-    of levels with a clearly negative correlation has one of the two exchanged.
+    of levels with a clearly negative correlation has one of the two exchanged. That alone errs in a
+    fast walk, where the thighs of both legs are always busy; with R_world_sensor (T,S,3,3) in one
+    world, the rates of rotation as vectors must be more alike across than along the limbs, too.
     """
     act = activity(raw)
+    alike = None if R_world_sensor is None else _alike(raw, R_world_sensor)
     found: list[Finding] = []
     for part in ("arm", "leg"):
         levels = _levels(raw.sensors, joints, part)
@@ -126,8 +131,27 @@ def check_swapped(raw: RawRecording, joints: np.ndarray) -> list[Finding]:
         d = {x: act[:, left] - act[:, right] for x, (left, right) in levels.items()}
         # Where neither side is busier there is nothing to tell sides by.
         d = {x: v for x, v in d.items() if v.std() > 0.3}
-        found += _exchanged(d)
+        if alike is None or _crossed([levels[x] for x in d], alike):
+            found += _exchanged(d)
     return found
+
+
+def _alike(raw: RawRecording, R_world_sensor: Array) -> Array:
+    """Correlations (S,S) of the rates of rotation in the world, as vectors, below 3 Hz."""
+    w = np.einsum("tsij,tsj->tsi", R_world_sensor, raw.gyr)
+    w[~(raw.valid & np.isfinite(w).all(-1))] = 0.0
+    w = face.lowpass(w, 3.0, raw.rate_hz)
+    C = np.einsum("tai,tbi->ab", w, w)
+    size = np.sqrt(np.maximum(np.diag(C), 1e-12))
+    return np.asarray(C / np.outer(size, size))
+
+
+def _crossed(levels: list[tuple[int, int]], C: Array) -> bool:
+    """Is there a pair of levels whose sensors are more alike across the sides than along them?"""
+    return any(
+        C[left, right_2] + C[right, left_2] > C[left, left_2] + C[right, right_2]
+        for (left, right), (left_2, right_2) in combinations(levels, 2)
+    )
 
 
 def _exchanged(d: dict[str, Array]) -> list[Finding]:
@@ -231,7 +255,7 @@ def check_lags(raw: RawRecording, joints: np.ndarray) -> list[Finding]:
             continue
         late = float(np.median(mine))
         spread = float(np.median(np.abs(mine - late)))
-        if abs(late) > LAG_S and spread < 0.3 * abs(late):
+        if abs(late) > LAG_S and spread < 0.25 * abs(late):
             text = (
                 f"sensor {name}: runs {abs(late) * 1000:.0f} ms {'behind' if late > 0 else 'ahead of'} "
                 f"the sensors next to it: its clock is not synchronised"
@@ -242,7 +266,7 @@ def check_lags(raw: RawRecording, joints: np.ndarray) -> list[Finding]:
 
 def _lag(x: Array, y: Array, reach: int) -> float:
     """Frames by which x is later than y; NaN where the best correlation is poor or no better."""
-    if min(x.std(), y.std()) < 0.3 or len(x) < 8 * reach:
+    if min(x.std(), y.std()) < 0.3 or len(x) < 24 * reach:  # 12 s
         return np.nan
     core = x[reach:-reach]
     shifts = np.arange(-reach, reach + 1)
@@ -250,4 +274,4 @@ def _lag(x: Array, y: Array, reach: int) -> float:
     best = int(np.argmax(c))
     if c[best] < 0.6 or best in (0, len(c) - 1):
         return np.nan
-    return float(shifts[best]) if c[best] > c[reach] + 0.02 else 0.0
+    return float(shifts[best]) if c[best] > c[reach] + 0.05 else 0.0

@@ -8,6 +8,7 @@ import numpy as np
 
 from mocap import body_checks, fusion, sensor_checks
 from mocap import facing as face
+from mocap import orientation as ori
 from mocap import sensors as places
 from mocap.findings import Finding, Severity
 from mocap.recording import RawRecording, gaps
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["Finding", "Severity", "check_before", "check_result", "diagnose", "ordered", "summary"]
 
 UNCERTAIN_DEG = 15.0
+SIDES_DEG = 25.0  # with a facing less certain than that, left is not known well enough
 ORDER = {"error": 0, "warning": 1, "info": 2}
 
 
@@ -29,7 +31,12 @@ def diagnose(raw: RawRecording, calibration: Calibration | None = None) -> list[
     also movement in the pose, slipped sensors, leaning, sides of the arms, certainty of the heading.
     """
     if calibration is None:
-        return ordered(check_before(raw))
+        found = check_before(raw)
+        if not any(f.severity == "error" for f in found):
+            joints, _ = places.joints_and_seats(raw.sensors)
+            R = raw.R_world_sensor if raw.common_heading else None
+            found += body_checks.check_swapped(raw, joints, R)
+        return ordered(found)
     raw = raw.select(calibration.sensors)
     found = check_before(raw)
     if not any(f.severity == "error" for f in found):
@@ -50,11 +57,7 @@ def check_before(raw: RawRecording) -> list[Finding]:
     joints, _ = places.joints_and_seats(raw.sensors)
     found = sensor_checks.check_sensors(raw) + _gaps(raw)
     if not any(f.severity == "error" for f in found):
-        swapped = body_checks.check_swapped(raw, joints)
-        names = {f.sensor for f in swapped}
-        # A sensor on the wrong side is out of step with its supposed neighbours; its clock is not.
-        lags = [f for f in body_checks.check_lags(raw, joints) if f.sensor not in names]
-        found += swapped + lags
+        found += body_checks.check_lags(raw, joints)
     return found
 
 
@@ -67,10 +70,13 @@ def check_result(
     name: str,
 ) -> list[Finding]:
     """The checks that need the orientation, the pose and the facing (S,) of each sensor's world."""
+    assert raw.R_world_sensor is not None
+    joints, _ = places.joints_and_seats(raw.sensors)
     found = body_checks.check_pose(raw, window, pose)
+    found += body_checks.check_swapped(raw, joints, ori.rot_y(-facing) @ raw.R_world_sensor)
     found += body_checks.check_slipped(raw, window, pose)
     found += body_checks.check_leaning(raw, window, pose)
-    if (sigma < np.pi / 2).all():
+    if (sigma < np.radians(SIDES_DEG)).all():
         found += body_checks.check_sides(raw, pose, facing, name)
     return found + _facing(raw, window, pose, facing, sigma, name)
 
@@ -147,7 +153,12 @@ def summary(findings: list[Finding]) -> str:
 
 
 def ordered(findings: list[Finding]) -> list[Finding]:
-    """Errors first, and of several findings with one sensor and code the first only."""
+    """Errors first, and of several findings with one sensor and code the first only.
+
+    A sensor on the wrong side is out of step with its supposed neighbours, but its clock is not.
+    """
+    swapped = {f.sensor for f in findings if f.code == "swapped"}
+    findings = [f for f in findings if not (f.code == "lag" and f.sensor in swapped)]
     once: dict[tuple[str | None, str], Finding] = {}
     for f in findings:
         once.setdefault((f.sensor, f.code), f)

@@ -24,7 +24,7 @@ the heading of d: forward has e^(i phi), left i e^(i phi), and R_y(a) multiplies
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,13 +41,15 @@ DIRECTIONS = {"forward": 0.0, "left": np.pi / 2, "back": np.pi, "right": -np.pi 
 # Floors of the uncertainty, deg: how far the axis of that segment's motion is from left-right in people
 # who walk or squat (feet point outward, arms swing inward), beyond what averaging can tell.
 HINGE_FLOOR = {"thigh": 8.0, "pocket": 8.0, "shank": 7.0, "foot": 12.0}
+NOT_PLANAR_DEG = 30.0  # added to the floor in proportion to 1 - planarity
 HINGE_SIGN = {"thigh": 1.0, "pocket": 1.0, "shank": -1.0, "foot": -1.0}
 # Not the pelvis: it tips backward in sitting and leg raising as far as forward in bending.
 LEAN = {"lower_back": 10.0, "upper_back": 10.0, "sternum": 10.0, "head": 20.0}
-FOREARMS = {"forearm": 45.0, "wrist": 45.0}  # elbows bend forward and inward
 SWING = {"upper_arm": 15.0, "forearm": 20.0, "wrist": 20.0}  # arms swing a little inward
 HANGING_FLOOR_DEG = 12.0  # arms come down a little forward, and forearms bend
 POSE_FLOOR_DEG = 6.0  # how exactly people raise their arms to the side
+LONE = np.radians(30.0)
+AGREEING = 0.75  # share of the weight that must agree, or the answer is doubtful
 KNOWN_FLOOR_DEG = 5.0  # how exactly a sensor is strapped on
 
 
@@ -227,15 +229,20 @@ def from_motion(raw: RawRecording, pose: Pose, window: Window, arms_hang: bool =
             cue = hinge(name, u, v, HINGE_FLOOR[k], HINGE_SIGN[k])
         elif k in LEAN:
             cue = lean(name, v, LEAN[k], -1.0, raw.rate_hz)
-        elif k in FOREARMS and arms_hang:
-            cue = lean(name, v, FOREARMS[k], 1.0, raw.rate_hz)
         elif k in SWING and not arms_hang:
             cue = hanging_arm(name, v, raw.rate_hz)
         else:
             cue = None
         if cue is not None:
             cues.append(cue)
-    return cues + (arm_swing(raw, pose, cues) if arms_hang else [])
+    if len(cues) == 1:
+        # Nothing confirms it; in dancing a single leg may be off by 70 deg.
+        cues = [replace(cues[0], sigma=float(np.hypot(cues[0].sigma, LONE)))]
+    if arms_hang and not raw.common_heading:
+        # With a common heading the legs, which this rests on, have said it already; and arms on the
+        # wrong side would say the opposite.
+        cues += arm_swing(raw, pose, cues)
+    return cues
 
 
 def hinge(name: str, u: Array, v: Array, floor_deg: float, sign: float) -> Cue | None:
@@ -262,15 +269,17 @@ def hinge(name: str, u: Array, v: Array, floor_deg: float, sign: float) -> Cue |
         return None
     if asymmetry < 0:
         phi += np.pi
-    sigma = np.hypot(_jackknife(z, power) / 2, np.radians(floor_deg))
+    # Dancing turns legs about all axes: the less planar, the less is it a hinge.
+    doubt = np.radians(floor_deg + NOT_PLANAR_DEG * (1 - quality))
+    sigma = np.hypot(_jackknife(z, power) / 2, doubt)
     return Cue(name, float(wrap(phi)), float(sigma), f"hinge of the {kind(name)}")
 
 
 def lean(name: str, v: Array, floor_deg: float, sign: float, rate_hz: float) -> Cue | None:
-    """A cue from a segment that leans far in one direction only: the trunk, a bent forearm.
+    """A cue from a segment that leans far in one direction only: the trunk.
 
-    A trunk that bends forward carries up backward in its own frame (sign -1), a bent elbow forward
-    (sign +1). None where it leans over 20 deg for less than 0.5 s, or in several directions.
+    A trunk that bends forward carries up backward in its own frame (sign -1). None where it leans
+    over 20 deg for less than 0.5 s, or in several directions.
     """
     h = sign * complex_heading(v)
     far = h[np.abs(h) > np.sin(np.radians(20))]
@@ -280,8 +289,7 @@ def lean(name: str, v: Array, floor_deg: float, sign: float, rate_hz: float) -> 
     if abs(total) < 0.8 * size:
         return None
     sigma = np.hypot(_jackknife(far, np.abs(far)), np.radians(floor_deg))
-    method = f"leaning of the {kind(name)}" if sign < 0 else f"bending of the {kind(name)}"
-    return Cue(name, float(np.angle(total)), float(sigma), method)
+    return Cue(name, float(np.angle(total)), float(sigma), f"leaning of the {kind(name)}")
 
 
 def _jackknife(z: Array, weight: Array, blocks: int = 8) -> float:
@@ -305,10 +313,13 @@ def combine(cues: list[Cue]) -> tuple[float, float, list[Cue]]:
     near = np.abs(wrap(a[:, None] - a[None, :])) < np.pi / 4
     keep = near[int(np.argmax(near @ w))]
     kept = [c for c, k in zip(cues, keep, strict=True) if k]
+    total = w.sum()
     a, w = a[keep], w[keep]
     mean = float(np.angle(np.sum(w * np.exp(1j * a))))
     scatter = np.sum(w * wrap(a - mean) ** 2) / max(len(a) - 1, 1)
     sigma = np.sqrt(max(1.0, scatter) / w.sum())
+    if w.sum() < AGREEING * total:
+        sigma = np.hypot(sigma, np.pi / 4)  # too many say something else
     return mean, float(sigma), kept
 
 

@@ -35,6 +35,7 @@ SURE_DEG = 25.0  # above which it is an error and not only a warning
 FAST, FASTEST = 20.0, 60.0  # rad/s: people seldom turn faster; no usual gyroscope measures faster
 GOOD_DEG = 8.0  # what a right reading reaches: gyr bias, and acc that is not quite calm
 GRAVITY_RANGE = (9.3, 10.3)  # m/s^2: more than bias and scale of any usual sensor
+RESTLESS = 0.5  # m/s^2: the sensor never rests, so a small excess says nothing
 AXES = "xyz"
 
 
@@ -56,15 +57,17 @@ def check_sensors(raw: RawRecording) -> list[Finding]:
     return found
 
 
-def still_gravity(gyr: Array, acc: Array) -> float:
-    """Median |acc| of the tenth of the samples with the slowest rotation."""
+def still_gravity(gyr: Array, acc: Array) -> tuple[float, float]:
+    """Median |acc| of the tenth of the samples with the slowest rotation, and its median deviation."""
     rate = np.linalg.norm(gyr, axis=1)
-    return float(np.median(np.linalg.norm(acc[rate <= np.percentile(rate, 10)], axis=1)))
+    size = np.linalg.norm(acc[rate <= np.percentile(rate, 10)], axis=1)
+    median = float(np.median(size))
+    return median, float(np.median(np.abs(size - median)))
 
 
 def _gravity(name: str, gyr: Array, acc: Array) -> list[Finding]:
     """Is a still sensor's |acc| 9.81, and if not, in which unit would it be?"""
-    g = still_gravity(gyr, acc)
+    g, deviation = still_gravity(gyr, acc)
     if GRAVITY_RANGE[0] <= g <= GRAVITY_RANGE[1]:
         return []
     head = f"sensor {name}: a still sensor reads {g:.3g}, expected 9.81 m/s^2: "
@@ -77,6 +80,8 @@ def _gravity(name: str, gyr: Array, acc: Array) -> list[Finding]:
         why = "gravity has been removed; the specific force with gravity is needed"
         return [Finding("error", name, "acc-without-gravity", head + why, g)]
     if 8.3 <= g <= 11.3:
+        if deviation > RESTLESS:
+            return []
         why = "bias or scale of its accelerometer is off"
         return [Finding("warning", name, "acc-gravity", head + why, g)]
     return [Finding("error", name, "acc-unit", head + "its unit is unknown", g)]

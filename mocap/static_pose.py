@@ -159,7 +159,10 @@ def _around(raw: RawRecording, rate: Array, at: float) -> Window:
     half = (MAX_S / 2 if run else 0.25) * raw.rate_hz
     low, high = run or (0, len(raw))
     start, stop = max(low, int(k - half)), min(high, int(k + half) + 1)
-    return Window(start, stop, float(rate[start:stop].mean()), run is not None, False)
+    mean = float(rate[start:stop].mean())
+    # Noise may break a stance into runs that are too short each.
+    still = run is not None or mean < threshold(rate[np.isfinite(rate)])
+    return Window(start, stop, mean, still, False)
 
 
 def _calmest(rate: Array, a: int, b: int, rate_hz: float) -> tuple[int, int]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from mocap import sensors as places
 from mocap.calibration import Calibration, calibrate, pose_bones
 from mocap.errors import CalibrationError, SensorError
 from mocap.facing import wrap
+from mocap.formats import Options, xsens_mtw
 from mocap.motion import Motion
 from mocap.recording import RawRecording, Recording
 from mocap.skeleton import Skeleton
@@ -284,3 +286,19 @@ def test_a_sensor_lost_in_the_pose_is_named(raw: RawRecording) -> None:
     valid[:150, 3] = False
     with pytest.raises(CalibrationError, match=raw.sensors[3]):
         calibrate(replace(raw, valid=valid), at=1.0)
+
+
+def test_real_walk_faces_where_its_pelvis_sensor_says(shared: Path) -> None:
+    """OpenSense: the pelvis sensor's z axis points forward; the gait alone must say so as well."""
+    folder = shared / "data/opensense"
+    options = Options(mapping=folder / "myIMUMappings.xml")
+    raw = xsens_mtw.FORMAT.read(folder, options).content
+    assert isinstance(raw, RawRecording)
+    walked, cal = calibrate(raw)
+    assert "hinge of the shank" in cal.method and cal.diagnostics == ()
+    _, known = calibrate(raw, axes={"pelvis": "z forward"})
+    assert abs(np.degrees(wrap(cal.heading[0] - known.heading[0]))) < 12
+    thigh, shank = (walked.sensors.index(f"right_{x}") for x in ("thigh", "shank"))
+    knee = np.swapaxes(walked.R_world_bone[:, thigh], -1, -2) @ walked.R_world_bone[:, shank]
+    low, high = np.nanpercentile(np.degrees(ori.log(knee)[:, 0]), [1, 99])
+    assert low > -12 and 45 < high < 85

@@ -45,11 +45,12 @@ def test_a_trunk_that_bends_tells_forward() -> None:
 
 def test_combine_leaves_out_the_one_that_is_turned() -> None:
     """Around pi, where plain means fail, and with one cue the wrong way round."""
-    cues = [Cue(n, a, 0.1, "m") for n, a in (("a", 3.1), ("b", -3.1), ("c", 0.0))]
+    cues = [Cue(n, a, 0.1, "m") for n, a in (("a", 3.1), ("b", -3.1), ("d", np.pi), ("c", 0.0))]
     mean, sigma, kept = combine(cues)
     assert abs(wrap(mean - np.pi)) < 1e-9
-    assert [c.sensor for c in kept] == ["a", "b"]
-    assert sigma == pytest.approx(0.1 / np.sqrt(2))
+    assert [c.sensor for c in kept] == ["a", "b", "d"]
+    assert sigma == pytest.approx(0.1 / np.sqrt(3))
+    assert combine([cues[0], cues[3]])[1] > np.radians(45)  # one against one
     with pytest.raises(CalibrationError, match="no cue"):
         combine([])
 
