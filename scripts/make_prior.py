@@ -52,8 +52,8 @@ def main() -> None:
     w /= w.sum()
     mean = w @ x
     covariance = (x - mean).T @ ((x - mean) * w[:, None])
+    # An angle that never moves keeps the constant that the rig has there (a collar's rest direction).
     still = np.sqrt(np.diag(covariance)) < STILL_RAD
-    mean[still] = 0
     covariance[still] = 0
     covariance[:, still] = 0
     lower, upper = (np.quantile(x, q, axis=0) for q in (0.0005, 0.9995))
@@ -67,12 +67,14 @@ def main() -> None:
         output,
         mean=mean,
         covariance=covariance,
-        lower=np.where(still, -MARGIN_RAD, lower - MARGIN_RAD),
-        upper=np.where(still, MARGIN_RAD, upper + MARGIN_RAD),
+        lower=lower - MARGIN_RAD,
+        upper=upper + MARGIN_RAD,
         roughness=roughness / scale,
         poses=bank.astype(np.float16),
     )
-    print(f"{output}: {len(x)} poses, {still.sum()} angles never move, roughness scale {scale:.1f} rad/s^2")
+    print(
+        f"{output}: {len(x)} poses, {still.sum()} angles never move, roughness scale {scale:.1f} rad/s^2"
+    )
 
 
 if __name__ == "__main__":

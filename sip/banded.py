@@ -16,6 +16,7 @@ from sip.terms.base import Point
 
 Progress = Callable[[int, float], None]
 _LAMBDA_MAX = 1e10
+_NOTHING = 1e-12  # a diagonal entry below this: nothing measures the unknown
 # Damping is in units of steps, not of the Hessian's diagonal: that one is ruled by rate^2/sigma_acc and
 # would freeze slow drifts of the root, which accelerations hardly see.
 _STEP_ROOT, _STEP_ANGLE = 1.0, 0.2  # m, rad
@@ -35,7 +36,7 @@ class Result:
 
 def scaled_norm(grad: Array, grad_u: Array, band: Band) -> float:
     """Largest |g_i| / sqrt(H_ii): the gradient in sigmas, free of units."""
-    own = np.abs(grad) / np.sqrt(band.diagonal)
+    own = np.abs(grad) / np.sqrt(np.maximum(band.diagonal, _NOTHING))
     shared = np.abs(grad_u) / np.sqrt(np.diag(band.corner))
     return float(max(own.max(), shared.max(initial=0.0)))
 
@@ -84,7 +85,8 @@ def minimise(
     if not np.isfinite(cost):
         raise SolveError("the cost at the start is not finite")
     step = np.r_[np.full(3, _STEP_ROOT), np.full(problem.n - 3, _STEP_ANGLE)]
-    damping, growth = 1e-1, 2.0
+    damping: float = 1e-1
+    growth = 2.0
     status, converged, iteration = "stopped at the iteration limit", False, 0
     while True:
         band = problem.hessian(point)
@@ -114,7 +116,7 @@ def minimise(
             new = problem.cost(trial)
             gain = (cost - new) / predicted if np.isfinite(new) else -1.0
             if gain > 1e-4:
-                damping = max(damping * max(1 / 10, 1 - (2 * gain - 1) ** 3), 1e-9)
+                damping = max(damping * max(1 / 10, 1 - (2 * float(gain) - 1) ** 3), 1e-9)
                 growth = 2.0
             else:
                 trial = None

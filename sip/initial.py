@@ -37,9 +37,7 @@ def root_guess(recording: Recording, skeleton: Skeleton, prior: Prior) -> Array:
     return ori.interpolate(frames[has], ori.project(summed[has]), frames)
 
 
-def from_prior(
-    recording: Recording, skeleton: Skeleton, prior: Conditioned
-) -> tuple[Array, Array]:
+def from_prior(recording: Recording, skeleton: Skeleton, prior: Conditioned) -> tuple[Array, Array]:
     """x (T,n) and R_ref (T,3,3): the prior's mean pose in every frame, under `root_guess`."""
     x = np.zeros((len(recording), 6 + len(prior.active)))
     x[:, BODY] = prior.mean

@@ -69,31 +69,33 @@ class _Oracle:
 class _Callback(ca.Callback):
     """A CasADi function whose numbers come from Python; an exception is kept and raised afterwards."""
 
-    def __init__(self, name: str, oracle: _Oracle, inputs: list[Any], outputs: list[Any], call: Any):
+    def __init__(
+        self, name: str, oracle: _Oracle, inputs: list[Any], outputs: list[Any], call: Any
+    ):
         ca.Callback.__init__(self)
-        self.oracle, self.inputs, self.outputs, self.call_ = oracle, inputs, outputs, call
+        self._owner, self._inputs, self._outputs, self._run = oracle, inputs, outputs, call
         self.construct(name, {})
 
     def get_n_in(self) -> int:
-        return len(self.inputs)
+        return len(self._inputs)
 
     def get_n_out(self) -> int:
-        return len(self.outputs)
+        return len(self._outputs)
 
     def get_sparsity_in(self, i: int) -> Any:
-        return self.inputs[i]
+        return self._inputs[i]
 
     def get_sparsity_out(self, i: int) -> Any:
-        return self.outputs[i]
+        return self._outputs[i]
 
     def has_eval_buffer(self) -> bool:
         return True
 
     def eval_buffer(self, arg: Any, res: Any) -> int:
         try:
-            self.call_(np.frombuffer(arg[0], dtype=float), res)
+            self._run(np.frombuffer(arg[0], dtype=float), res)
         except BaseException as e:  # IPOPT is C: the exception must not cross it
-            self.oracle.interrupted = e
+            self._owner.interrupted = e
             return 1
         return 0
 
@@ -180,13 +182,13 @@ def minimise(
     u: Array,
     warm: bool,
     max_iterations: int = 200,
-    tolerance: float = 0.05,
     progress: Progress | None = None,
 ) -> Result:
     """Minimise from x (T,n), R_ref (T,3,3), u (S,7) with lower <= body angles <= upper as bounds.
 
-    warm: the start is a solution of the same problem without hard bounds. tolerance: IPOPT's `tol`, in
-    sigmas: no unknown could win more than tolerance^2/2 of cost. KeyboardInterrupt and errors inside the
+    warm: the start is a solution of the same problem without hard bounds. IPOPT's `tol` is
+    in sigmas, the root of the settings' relative tolerance: no unknown could win more than half of that in
+    cost. KeyboardInterrupt and errors inside the
     oracles are raised from here.
     """
     lower, upper = np.full((problem.T, problem.n), -np.inf), np.full((problem.T, problem.n), np.inf)
@@ -218,7 +220,7 @@ def minimise(
     g_cb = _Callback("grad_f", oracle, [vector, none], [scalar, vector], grad_f)
     h_cb = _Callback("hess_lag", oracle, [vector, none, scalar, none], [triangle.sparsity], hess)
     z = ca.MX.sym("z", size)
-    options = _options(warm, max_iterations, tolerance)
+    options = _options(warm, max_iterations, np.sqrt(problem.settings.tolerance))
     solver = ca.nlpsol(
         "sip", "ipopt", {"x": z, "f": f_cb(z)}, options | {"grad_f": g_cb, "hess_lag": h_cb}
     )

@@ -105,7 +105,9 @@ def numeric_forward(skeleton: Skeleton) -> ca.Function:
     return ca.Function("forward", [x, R_ref], stacked)
 
 
-def unpack(p_root: Array, R_root: Array, theta: Array, rate_hz: float, skeleton: Skeleton) -> Motion:
+def unpack(
+    p_root: Array, R_root: Array, theta: Array, rate_hz: float, skeleton: Skeleton
+) -> Motion:
     """The motion of root positions (T,3) m, root rotations (T,3,3) and all 69 body angles (T,69) rad."""
     R = np.empty((len(theta), 24, 3, 3))
     R[:, 0] = R_root

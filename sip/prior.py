@@ -32,7 +32,11 @@ class Prior:
 
     def given(self, active: tuple[int, ...]) -> Conditioned:
         """The prior of the angles of some body joints, and what they tell about the others."""
-        a = np.concatenate([np.r_[3 * j - 3 : 3 * j] for j in active]) if active else np.zeros(0, int)
+        a = (
+            np.concatenate([np.r_[3 * j - 3 : 3 * j] for j in active])
+            if active
+            else np.zeros(0, int)
+        )
         b = np.setdiff1d(np.arange(69), a)
         S = self.covariance
         # The floor keeps angles that hardly move from ruling the others.
@@ -104,7 +108,7 @@ class Conditioned:
         out = np.empty((len(covariance), 69))
         out[:, self.active] = np.einsum("tii->ti", covariance)
         spread = np.einsum("bi,tij,bj->tb", self.gain, covariance, self.gain, optimize=True)
-        out[:, self.passive] = spread + np.diag(self.rest)
+        out[:, self.passive] = spread + np.maximum(np.diag(self.rest), 0) + _FLOOR**2
         return out
 
 

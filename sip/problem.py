@@ -7,9 +7,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from mocap import orientation as ori
 from mocap.orientation import Array
@@ -40,7 +42,7 @@ class SensorKinematics:
     active: the body joints above any sensor, in the order of their columns of x; n = 6 + 3 len(active).
     """
 
-    def __init__(self, skeleton: Skeleton, joint: Array, placement: Array):
+    def __init__(self, skeleton: Skeleton, joint: NDArray[np.int64], placement: Array):
         S = len(joint)
         self.S = S
         chains = [skeleton.ancestors(int(j)) for j in joint]
@@ -92,9 +94,10 @@ class SensorKinematics:
         shapes: list[tuple[int, ...]] = [(T, 2, S, 3)]
         if jacobian:
             shapes += [(T, S, 3, n), (T, S, 3, n), (T, S, 4, 3)]
-        outputs = [np.empty(shape) for shape in shapes]
+        outputs: list[Any] = [np.empty(shape) for shape in shapes]
+        buffer: Any
         buffer, run = (self.full if jacobian else self.values).map(T).buffer()
-        kept = [np.ascontiguousarray(a, float) for a in inputs]
+        kept: list[Any] = [np.ascontiguousarray(a, float) for a in inputs]
         for i, array in enumerate(kept):
             buffer.set_arg(i, memoryview(array.reshape(-1)))
         for i, array in enumerate(outputs):
@@ -249,9 +252,7 @@ def build(
         body = s.smooth_angle * prior.roughness
         terms += [
             LinearSmoothness("smoothness", kin.BODY, order, body, rate),
-            LinearSmoothness(
-                "smoothness", kin.ROOT_P, order, np.full(3, s.smooth_position), rate
-            ),
+            LinearSmoothness("smoothness", kin.ROOT_P, order, np.full(3, s.smooth_position), rate),
             RootSmoothness(order, s.smooth_root, rate),
         ]
     if border:

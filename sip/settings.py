@@ -36,9 +36,9 @@ class Settings:
     prior_floor: float = 3 * DEG
     sigma_limits: float = 5 * DEG
     smooth_order: Literal[0, 2, 3] = 2
-    smooth_angle: float = 15.0
-    smooth_root: float = 15.0
-    smooth_position: float = 3.0
+    smooth_angle: float = 60.0
+    smooth_root: float = 60.0
+    smooth_position: float = 6.0
     sigma_gauge: float = 100.0
     self_calibration: bool = False
     sigma_mounting: float = 4 * DEG

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -44,10 +45,7 @@ def windows(frames: int, size: int, overlap: int) -> list[Window]:
         return [Window(0, frames, frames)]
     count = int(np.ceil((frames - overlap) / (size - overlap)))
     cuts = np.linspace(0, frames, count + 1).round().astype(int)
-    return [
-        Window(int(a), int(min(b + overlap, frames)), int(b))
-        for a, b in zip(cuts[:-1], cuts[1:], strict=True)
-    ]
+    return [Window(int(a), int(min(b + overlap, frames)), int(b)) for a, b in pairwise(cuts)]
 
 
 def solve(
@@ -124,9 +122,7 @@ def _solve_window(
     piece = recording.slice(window.start, window.stop)
     cold = settings.solver == "ipopt-cold"
     u0 = np.zeros((kinematics.S, CONSTANTS)) if before is None else before.u
-    x, R_ref, u, iterations = _start(
-        piece, skeleton, settings, kinematics, window, u0, tell
-    )
+    x, R_ref, u, iterations = _start(piece, skeleton, settings, kinematics, window, u0, tell)
     # The last frames that the window before keeps are given: differences reach across the seam.
     past = 0 if before is None else 3
     if before is not None:
@@ -137,7 +133,9 @@ def _solve_window(
         R_ref = np.concatenate([before.R_ref[k - past : k], R_ref])
     problem = build(piece, skeleton, settings, kinematics, fixed=past)
     if cold:
-        result = ipopt.minimise(problem, x, R_ref, u, False, progress=_teller(tell, 0.3, 1, "IPOPT"))
+        result = ipopt.minimise(
+            problem, x, R_ref, u, False, progress=_teller(tell, 0.3, 1, "IPOPT")
+        )
         iterations += result.iterations
     else:
         result = banded.minimise(problem, x, R_ref, u, progress=_teller(tell, 0.3, 0.7, "banded"))
@@ -215,8 +213,7 @@ def _part(
         factor = Factor(problem.hessian(p), 1e-12)
         if settings.self_calibration:
             # The corner of the inverse is the inverse of the Schur complement.
-            inverse = np.linalg.inv(factor.schur @ factor.schur.T)
-            u_std = np.sqrt(np.diag(inverse)).reshape(-1, CONSTANTS)
+            u_std = np.sqrt(np.diag(factor.corner_inverse())).reshape(-1, CONSTANTS)
         if settings.uncertainty:
             blocks = factor.inverse_blocks()[f:]
             root = np.einsum("tii->ti", blocks[:, ROOT_W, ROOT_W])
@@ -261,7 +258,7 @@ def _assemble(
             cost[name] = cost.get(name, 0.0) + value
     report: dict[str, Any] = {"windows": len(parts)}
     if len(parts) > 1:
-        seams = [_seam(a, b) for a, b in zip(parts[:-1], parts[1:], strict=True)]
+        seams = [_seam(a, b) for a, b in pairwise(parts)]
         report["seam_deg"] = np.rad2deg(seams).tolist()
     residuals = {
         name: np.concatenate([p.residuals[name] for p in parts if name in p.residuals])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mocap import orientation as ori
 from mocap.orientation import Array
@@ -27,7 +28,7 @@ class Acceleration:
         rate_hz: float,
         acc_meas: Array,
         R_meas: Array,
-        valid: Array,
+        valid: NDArray[np.bool_],
         border: bool,
     ):
         ok = valid[1:-1]

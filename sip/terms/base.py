@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -26,9 +26,9 @@ class Point:
     u: Array
     e: Array
     p: Array
-    e_x: Array | None = None
-    p_x: Array | None = None
-    e_u: Array | None = None
+    e_x: Any = None
+    p_x: Any = None
+    e_u: Any = None
 
 
 class Term(Protocol):

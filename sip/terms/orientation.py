@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mocap.orientation import Array
 from sip.band import Band
@@ -18,7 +19,7 @@ class Orientation:
 
     name, reach, constant = "orientation", 0, False
 
-    def __init__(self, sigma: float, valid: Array, border: bool):
+    def __init__(self, sigma: float, valid: NDArray[np.bool_], border: bool):
         self.weight = valid.astype(float)[..., None] / sigma
         self.border = border
 

@@ -128,5 +128,3 @@ class Gauge:
 
     def hessian(self, point: Point, band: Band) -> None:
         band.blocks[:, 0, [0, 1, 2], [0, 1, 2]] += 1 / self.sigma**2
-
-
