@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from mocap.errors import FormatError
+from mocap.formats import _unpickle
 
 MAX_BYTES = 1 << 30  # of all wanted members together: over three hours of a full suit at 100 Hz
 BOMB_BYTES, BOMB_RATIO = (
@@ -92,8 +93,6 @@ def load_objects(path: Path, name: str) -> list[Any]:
     For foreign data sets whose archives hold sequences of different lengths. Raises FormatError as
     `load` does, and where the pickle holds more than arrays and plain containers.
     """
-    from mocap.formats import _unpickle
-
     where = f"array {name!r}"
     try:
         with zipfile.ZipFile(path) as archive:

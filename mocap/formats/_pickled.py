@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mocap.errors import FormatError
-from mocap.formats import Options
+from mocap.formats import Options, _unpickle
 from mocap.motion import Motion
 from mocap.orientation import Array
 from mocap.skeleton import Skeleton
@@ -19,14 +19,14 @@ LARGEST_ANGLE = 30.0  # rad: accumulated turns reach some 4 pi, degrees reach 90
 
 def mentions(path: Path, key: bytes) -> bool:
     """Whether the file's bytes hold `key`: enough to tell one data set from another."""
+    if not path.stat().st_size:
+        return False
     with path.open("rb") as f, mmap.mmap(f.fileno(), 0, access=mmap.ACCESS_READ) as data:
         return data.find(key) >= 0
 
 
 def fields(path: Path) -> dict[str, Any]:
     """The dictionary a pickle holds, read without running anything in it."""
-    from mocap.formats import _unpickle
-
     data = _unpickle.load(path)
     if not isinstance(data, dict):
         raise FormatError(path, f"holds a {type(data).__name__}, expected a dictionary")
@@ -42,14 +42,15 @@ def array(path: Path, data: dict[str, Any], name: str) -> Array:
 
 
 def numbers(path: Path, value: Any, where: str) -> Array:
-    """An array or nested list of real numbers as float64."""
-    try:
-        found = np.asarray(value)
-    except (ValueError, TypeError, OverflowError) as e:
-        raise FormatError(path, "is no array of numbers", where) from e
-    if found.dtype.kind not in "fiu" or found.ndim == 0:
-        raise FormatError(path, f"is {found.dtype} {found.shape}, expected real numbers", where)
-    return found.astype(float)
+    """An array of real numbers as float64.
+
+    Lists are refused: a few nested ones that share their parts may stand for a billion numbers.
+    """
+    if not isinstance(value, np.ndarray):
+        raise FormatError(path, f"is a {type(value).__name__}, expected an array", where)
+    if value.dtype.kind not in "fiu" or value.ndim == 0:
+        raise FormatError(path, f"is {value.dtype} {value.shape}, expected real numbers", where)
+    return value.astype(float)
 
 
 def body(options: Options) -> Skeleton:

@@ -245,8 +245,8 @@ DIP: Cases = {
     "16 sensors": (_dip(imu_ori=lambda R: R[:, 1:]), r"imu_ori: is \(240, 16, 3, 3\), expected"),
     "other length": (_dip(gt=lambda p: p[:-1]), r"gt: is \(239, 72\), expected \(240, 72\)"),
     "no frames": (_dip(imu_ori=lambda R: R[:0]), "imu_ori: is"),
-    "text": (_dip(gt="abc"), "field gt: is <U3"),
-    "ragged": (_dip(gt=[[1.0], [1.0, 2.0]]), "field gt: is no array of numbers"),
+    "text": (_dip(gt="abc"), "field gt: is a str, expected an array"),
+    "ragged": (_dip(gt=[[1.0], [1.0, 2.0]]), "field gt: is a list, expected an array"),
     "left-handed": (
         _dip(imu_ori=lambda R: R @ LEFT_HANDED), "frame 0, sensor head: imu_ori: left-handed"
     ),
