@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import math
+import tokenize
 import warnings
 import zipfile
 import zlib
@@ -31,7 +32,7 @@ BOMB_BYTES, BOMB_RATIO = (
 # What zipfile and numpy raise on bytes that are not what they should be.
 BROKEN = (
     zipfile.BadZipFile, zlib.error, ValueError, EOFError, NotImplementedError, RuntimeError,
-    KeyError, OverflowError, TypeError, SyntaxError, UserWarning, OSError,
+    KeyError, OverflowError, TypeError, SyntaxError, tokenize.TokenError, UserWarning, OSError,
 )  # fmt: skip
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 import recording_files as files
 from hypothesis import HealthCheck, given, settings
@@ -27,9 +28,20 @@ from mocap.formats import (
     xsens_mtw,
 )
 
+
+def _stored(folder: Path) -> Path:
+    """A native file whose arrays lie open, so that damage reaches their headers."""
+    path = files.native_raw(folder)
+    with np.load(path) as f:
+        arrays = {k: v for k, v in f.items() if v.size < 100}
+    np.savez(path, **arrays)
+    return path
+
+
 WRITERS: dict[str, tuple[object, Callable[[Path], Path]]] = {
     "native recording": (native, files.native_recording),
     "native raw": (native, files.native_raw),
+    "native, not compressed": (native, _stored),
     "qmt": (qmt, files.qmt),
     "opensense": (opensense, files.sto),
     "mtw": (xsens_mtw, lambda d: files.mtw(d) / "MT_trial_00B40001.txt"),

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 import recording_files as files
 
-from mocap import calibration, synthesis
 from mocap import orientation as ori
+from mocap import synthesis
 from mocap.errors import FormatError
 from mocap.formats import (
     Document,
     Options,
-    _checks,
     _physics,
     csv,
     dip,
@@ -30,10 +30,9 @@ from mocap.recording import RawRecording, Recording
 NONE = Options()
 
 
-def _raw(document: object) -> RawRecording:
-    content = document.content  # type: ignore[attr-defined]
-    assert isinstance(content, RawRecording)
-    return content
+def _raw(document: Document) -> RawRecording:
+    assert isinstance(document.content, RawRecording)
+    return document.content
 
 
 def _same_raw(have: RawRecording, want: RawRecording, tolerance: float = 1e-6) -> None:
@@ -50,8 +49,8 @@ def _same_raw(have: RawRecording, want: RawRecording, tolerance: float = 1e-6) -
 
 
 @pytest.mark.parametrize("write", [files.csv_wide, files.csv_folder])
-def test_csv(write: object, tmp_path: Path) -> None:
-    document = csv.FORMAT.read(write(tmp_path), NONE)  # type: ignore[operator]
+def test_csv(write: Callable[[Path], Path], tmp_path: Path) -> None:
+    document = csv.FORMAT.read(write(tmp_path), NONE)
     want = files.raw()
     have = _raw(document)
     _same_raw(have, want)
@@ -399,59 +398,3 @@ def test_pickles_are_told_apart(tmp_path: Path) -> None:
     for path, module in ((files.dip(tmp_path), dip), (files.tc_pkl(tmp_path), totalcapture)):
         found = [m for m in (dip, totalcapture) if m.FORMAT.sniff(path, path.read_bytes()[:4096])]
         assert found == [module]
-
-
-# ------------------------------------------------------------------------------------------- checks
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_realistic_noise_raises_no_alarm(tmp_path: Path, seed: int) -> None:
-    """Noise of the size that real sensors have is no contradiction; lost samples are reported."""
-    noise = synthesis.Noise()
-    moving = files.motion(T=600)
-    for doubts in (
-        _physics.raw(tmp_path, synthesis.raw_recording(moving, files.DIP_17, noise, seed)),
-        _physics.calibrated(tmp_path, synthesis.recording(moving, files.DIP_17, noise, seed)),
-    ):
-        assert len(doubts) == 1 and "samples are missing" in doubts[0]
-
-
-def test_a_table_of_orientations_can_be_calibrated(tmp_path: Path) -> None:
-    """`.sto` has no accelerations, yet its orientations make a recording for SOP."""
-    rec = _raw(opensense.FORMAT.read(files.sto(tmp_path), NONE))
-    have, _ = calibration.calibrate(rec, pose="t", at=0.5, facing=0.0, strict=False)
-    want = files.recording(rec.sensors)
-    assert have.ori_valid.all() and not have.acc_valid.any()
-    assert np.rad2deg(ori.angle_between(have.R_world_bone, want.R_world_bone)).max() < 0.05
-
-
-def test_grid_of_rounded_stamps(tmp_path: Path) -> None:
-    """Stamps rounded to 10 ms at 60 Hz: the rate is that of the whole, not of the median step."""
-    t = np.round(np.arange(600) / 60, 2)
-    rate, frames, doubts = _checks.grid(tmp_path, t)
-    assert rate == pytest.approx(60, rel=1e-3) and (frames == np.arange(600)).all()
-    assert "jitter" in doubts[0]
-
-
-def test_grid_with_a_gap_and_jitter(tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
-    keep = np.r_[0:50, 57:120]
-    t = 3.0 + keep / 100 + rng.uniform(-0.002, 0.002, len(keep))
-    rate, frames, doubts = _checks.grid(tmp_path, t)
-    assert rate == pytest.approx(100, rel=1e-2) and (frames == keep).all()
-    assert any("7 of 120 samples are missing" in d for d in doubts)
-
-
-@pytest.mark.parametrize(
-    ("t", "message"),
-    [
-        ([0.0], "fewer than two samples"),
-        ([0.0, 0.01, 0.01], "frame 2, time: 0.01 s after 0.01 s, must rise"),
-        ([0.0, 0.01, np.nan], "frame 2, time: is nan"),
-        (np.r_[0:50, 50:150:1.6] / 100, "where .* is usual, expected a constant rate"),
-        ([0, 0.01, 0.02, 1e6], "a gap of 1e.06 s"),
-    ],
-)
-def test_grid_refuses(tmp_path: Path, t: list[float], message: str) -> None:
-    with pytest.raises(FormatError, match=message):
-        _checks.grid(tmp_path, np.asarray(t, float))
