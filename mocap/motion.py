@@ -7,7 +7,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.signal import butter, sosfiltfilt
 
 from mocap import orientation as ori
 from mocap.errors import ShapeError
@@ -141,6 +140,9 @@ class Motion:
         choice of world frame. Motions at or below twice the cut-off, or shorter than the filter's
         transient, come back as they are.
         """
+        # Here, because scipy.signal takes half a second to import.
+        from scipy.signal import butter, sosfiltfilt
+
         if cutoff_hz >= self.rate_hz / 2 or len(self) < 8:
             return self
         sos = butter(2, cutoff_hz / (self.rate_hz / 2), output="sos")
