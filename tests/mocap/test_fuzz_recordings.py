@@ -119,7 +119,7 @@ def _damage(draw: st.DrawFn) -> Callable[[bytes], bytes]:
 
 @pytest.mark.parametrize("name", WRITERS)
 @settings(
-    max_examples=150,
+    max_examples=80,
     deadline=10_000,
     derandomize=True,
     database=None,
