@@ -120,7 +120,7 @@ def _body(fields: _npz.Fields, options: Options) -> tuple[Skeleton, list[str]]:
         raise
     except PoserError as e:
         raise FormatError(fields.path, str(e)) from e
-    if not betas.any():
+    if not betas.any() or "offsets" in fields or "height" in fields:
         return skeleton, []
     return skeleton, ["the file's betas need an SMPL model; the neutral mean shape is used"]
 
@@ -182,8 +182,8 @@ def _arrays(motion: Motion) -> dict[str, np.ndarray]:
 
 
 def _own_body(body: Skeleton) -> dict[str, np.ndarray]:
-    """What the table and `betas` do not say about a body's bones."""
-    if body.mesh is not None or np.array_equal(body.offsets, Skeleton.default().offsets):
+    """A body's bones, so that reading needs no SMPL file; nothing for the table's."""
+    if np.array_equal(body.offsets, Skeleton.default().offsets):
         return {}
     try:
         scaled = Skeleton.default(body.stature).offsets
