@@ -1,0 +1,7 @@
+"""One module a command: HELP (one line), add_arguments(parser), run(args) -> exit status.
+
+The module's docstring is the command's description. Heavy imports belong inside `run`.
+"""
+
+NAMES: tuple[str, ...] = ("info", "synthesize", "solve", "evaluate")
+"""Commands in the order of `poser --help`."""

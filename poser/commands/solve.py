@@ -1,0 +1,206 @@
+"""Offline poses for a calibrated recording: SIP, or SOP (SIP without accelerations)."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mocap.errors import PoserError
+from poser import files, options
+from poser.console import DONE, UsageError, emit, note, progress, say, table
+
+if TYPE_CHECKING:
+    from mocap.motion import Motion
+    from mocap.recording import Recording
+    from mocap.skeleton import Skeleton
+    from mocap.solution import Solution
+
+HELP = "offline poses from a recording: SIP or SOP"
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    parser.add_argument("recording", type=Path, metavar="REC", help="a calibrated recording")
+    options.add_output(parser, "MOTION.npz", "the motion: an AMASS-style .npz, or .bvh")
+    parser.add_argument("--terms", choices=("sip", "sop"), default="sip", help="default: sip")
+    parser.add_argument("--sensors", metavar="S", help=f"{options.SENSORS_HELP} (default: all)")
+    parser.add_argument(
+        "--solver",
+        choices=("ipopt", "ipopt-cold", "banded"),
+        default="ipopt",
+        help="banded start and IPOPT finish (default), IPOPT alone, or no finish",
+    )
+    parser.add_argument(
+        "--start",
+        default="prior",
+        metavar="prior|dip|imuposer|MOTION",
+        help="where the solver starts: the prior (default), a network's poses, or a motion file",
+    )
+    body = parser.add_argument_group("the body (default: the neutral mean shape)")
+    body.add_argument("--height", type=options.stature, metavar="M", help="stature in m")
+    body.add_argument(
+        "--betas", type=options.numbers, metavar="B,B,...", help="SMPL shape, with --smpl"
+    )
+    body.add_argument("--smpl", type=Path, metavar="FILE", help="your SMPL body file")
+    parser.add_argument(
+        "--self-calibrate",
+        action="store_true",
+        help="estimate each sensor's mounting, heading and bias too",
+    )
+    parser.add_argument(
+        "--uncertainty", action="store_true", help="store std_rad (T,24,3) with the motion"
+    )
+    parser.add_argument(
+        "--from", dest="begin", type=options.number, metavar="S", help="begin at this time in s"
+    )
+    parser.add_argument(
+        "--to", dest="end", type=options.number, metavar="S", help="end before this time in s"
+    )
+    options.add_json(parser)
+
+
+def run(args: Namespace) -> int:
+    if args.betas and not args.smpl:
+        raise UsageError("argument --betas: needs the body file they shape: --smpl FILE")
+    if args.smpl and args.height:
+        raise UsageError("argument --height: not with --smpl, whose betas give the size")
+    if args.start in ("dip", "imuposer"):
+        raise PoserError(
+            f"--start {args.start}: the networks are not part of this installation yet; "
+            f"start from 'prior' or from a motion file"
+        )
+    start = None if args.start == "prior" else Path(args.start)
+    files.check_output(args.output, [args.recording, *([start] if start else [])], (".npz", ".bvh"))
+    if args.uncertainty and args.output.suffix.lower() == ".bvh":
+        raise UsageError("argument --uncertainty: a .bvh file cannot hold it, an .npz file can")
+    whole = files.recording(args.recording)
+    with files.about(args.recording):
+        chosen = whole.select(options.sensors(args.sensors, whole.sensors))
+        recording, first = _window(chosen, args.begin, args.end)
+    begin = None if start is None else _start(start, whole, first, len(recording))
+    solution = _solve(args, recording, begin)
+    extra = (
+        None if solution.std_rad is None or not args.uncertainty else {"std_rad": solution.std_rad}
+    )
+    files.write(args.output, solution.motion, extra)
+    report(args, recording, solution)
+    return DONE
+
+
+def _solve(args: Namespace, recording: Recording, start: Motion | None) -> Solution:
+    from dataclasses import replace
+
+    import sip
+    from poser.staging import on_the_floor
+
+    settings = sip.Settings(
+        terms=args.terms,
+        solver=args.solver,
+        start="prior" if start is None else start,
+        self_calibration=args.self_calibrate,
+        uncertainty=args.uncertainty,
+    )
+    with progress(f"solving {args.recording.name}") as tell, files.about(args.recording):
+        solution = sip.solve(recording, _body(args), settings, tell)
+    return replace(solution, motion=on_the_floor(solution.motion))
+
+
+def _body(args: Namespace) -> Skeleton:
+    from mocap.skeleton import Skeleton
+
+    if args.smpl:
+        return Skeleton.from_smpl_file(args.smpl, args.betas)
+    return Skeleton.default(args.height)
+
+
+def _window(recording: Recording, begin: float | None, end: float | None) -> tuple[Recording, int]:
+    """The frames from `begin` to before `end`, s on the recording's clock, and the first one's number."""
+    if begin is None and end is None:
+        return recording, 0
+    rate, origin = recording.rate_hz, recording.start_s
+    a = 0 if begin is None else max(0, round((begin - origin) * rate))
+    b = len(recording) if end is None else min(len(recording), round((end - origin) * rate))
+    if b - a < 1:
+        raise PoserError(
+            f"no frame from {begin if begin is not None else origin:g} s to "
+            f"{end if end is not None else origin + recording.seconds:g} s: it runs from "
+            f"{origin:g} s to {origin + recording.seconds:g} s"
+        )
+    return recording.slice(a, b), a
+
+
+def _start(path: Path, whole: Recording, first: int, frames: int) -> Motion:
+    """The motion to start from, at the recording's rate: of the whole recording or of the window."""
+    motion = files.motion(path)
+    with files.about(path):
+        motion = motion.resampled(whole.rate_hz)
+    if len(motion) == len(whole):
+        return motion.slice(first, first + frames)
+    if len(motion) != frames:
+        raise PoserError(
+            f"{path}: {len(motion)} frames at {whole.rate_hz:g} Hz, expected as many as the "
+            f"recording has: {frames}"
+        )
+    return motion
+
+
+def record(solution: Solution) -> dict[str, Any]:
+    """What `results.json` and `--json` say of a solution; cost in sigma^2, seconds of solving alone."""
+    out: dict[str, Any] = {
+        "status": solution.status,
+        "converged": solution.converged,
+        "seconds": solution.seconds,
+        "iterations": solution.iterations,
+        "frames": len(solution.motion),
+        "cost": solution.cost,
+        "total_cost": solution.total_cost,
+        "sigmas": solution.sigmas,
+        "gradient_norm": solution.gradient_norm,
+        "report": solution.report,
+    }
+    if solution.sensors is not None:
+        out["sensors"] = solution.sensors
+    return out
+
+
+def report(args: Namespace, recording: Recording, solution: Solution) -> None:
+    """The answer: JSON, or a table of the terms and a sentence."""
+    if args.json:
+        extra = {
+            "terms": args.terms,
+            "solver": args.solver,
+            "used_sensors": list(recording.sensors),
+            "rate_hz": recording.rate_hz,
+            "motion": str(args.output),
+        }
+        emit(record(solution) | extra)
+        return
+    table(
+        ("term", "cost", "rms in sigmas"),
+        [
+            (
+                name,
+                f"{cost:.1f}",
+                f"{solution.sigmas[name]:.2f}" if name in solution.sigmas else "-",
+            )
+            for name, cost in solution.cost.items()
+        ],
+    )
+    for name, found in (solution.sensors or {}).items():
+        say(_constants(name, found))
+    say(
+        f"{args.output}: {len(solution.motion)} frames from {len(recording.sensors)} sensors in "
+        f"{solution.seconds:.1f} s, {solution.iterations} iterations: {solution.status}"
+    )
+    if not solution.converged:
+        note(f"{args.recording}: the solver stopped before it converged")
+
+
+def _constants(name: str, found: dict[str, Any]) -> str:
+    """A self-calibrated sensor in one line."""
+    import numpy as np
+
+    mounting = np.rad2deg(np.linalg.norm(found["mounting_rad"]))
+    heading = np.rad2deg(found["heading_rad"])
+    bias = np.linalg.norm(found["bias_mps2"])
+    return f"{name}: mounting {mounting:.1f} deg, heading {heading:+.1f} deg, bias {bias:.2f} m/s^2"

@@ -1,0 +1,150 @@
+"""Files as the commands see them: read what was expected, write what is whole, name what is wrong."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mocap.errors import FormatError, PoserError
+from poser.console import UsageError, note
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from mocap.formats import Content, Document, Options
+    from mocap.motion import Motion
+    from mocap.recording import RawRecording, Recording
+
+_KINDS = {
+    "motion": "a motion",
+    "recording": "a calibrated recording",
+    "raw": "a raw recording",
+}
+_HINTS = {
+    ("raw", "recording"): "; poser calibrate makes the one from the other",
+    ("recording", "raw"): "; it needs no calibration",
+    ("motion", "recording"): "; poser synthesize puts virtual sensors on a motion",
+    ("motion", "raw"): "; poser synthesize --raw puts virtual sensors on a motion",
+}
+
+
+def read(path: Path, options: Options | None = None) -> Document:
+    """Any file of a known format. A native raw recording's sensors are renamed by the mapping."""
+    from dataclasses import replace
+
+    from mocap import formats
+    from mocap.recording import RawRecording
+
+    doc = formats.read(path, options)
+    names = options.mapping if options is not None else None
+    raw = doc.content
+    if doc.format == "native" and isinstance(raw, RawRecording) and isinstance(names, dict):
+        with about(path):
+            return replace(doc, content=raw.renamed(names))
+    return doc
+
+
+def motion(path: Path, options: Options | None = None, quiet: bool = False) -> Motion:
+    """The motion in a file; raises FormatError where it holds something else."""
+    return _expect(path, "motion", options, quiet)  # type: ignore[return-value]
+
+
+def recording(path: Path, options: Options | None = None) -> Recording:
+    """The calibrated recording in a file; raises FormatError where it holds something else."""
+    return _expect(path, "recording", options)  # type: ignore[return-value]
+
+
+def raw(path: Path, options: Options | None = None) -> RawRecording:
+    """The raw recording in a file; raises FormatError where it holds something else."""
+    return _expect(path, "raw", options)  # type: ignore[return-value]
+
+
+def _expect(path: Path, kind: str, options: Options | None, quiet: bool = False) -> Content:
+    doc = read(path, options)
+    if doc.kind != kind:
+        hint = _HINTS.get((doc.kind, kind), "")
+        raise FormatError(path, f"holds {_KINDS[doc.kind]}, expected {_KINDS[kind]}{hint}")
+    if not quiet:
+        for text in doc.warnings:
+            note(f"{path}: {text}")
+    return doc.content
+
+
+@contextmanager
+def about(path: Path) -> Iterator[None]:
+    """An error of the project in this block is about `path` and says so."""
+    try:
+        yield
+    except (FormatError, UsageError):
+        raise
+    except PoserError as e:
+        raise PoserError(f"{path}: {e}") from e
+
+
+def check_output(path: Path, inputs: Sequence[Path], suffixes: tuple[str, ...]) -> None:
+    """Before any work: can `path` be written, and is it none of the inputs?
+
+    Raises UsageError for a wrong suffix or an input, PoserError for a folder that is missing.
+    """
+    if path.suffix.lower() not in suffixes:
+        raise UsageError(f"{path}: the output's name must end in {' or '.join(suffixes)}")
+    folder = path.parent
+    if not folder.is_dir():
+        raise PoserError(f"{path}: there is no folder {folder} to write it to")
+    if path.is_dir():
+        raise PoserError(f"{path}: is a folder, expected a file name")
+    if not os.access(folder, os.W_OK):
+        raise PoserError(f"{path}: the folder {folder} cannot be written to")
+    for source in inputs:
+        if _same(path, source):
+            raise UsageError(f"{path}: is the input; the output needs a name of its own")
+
+
+def _same(a: Path, b: Path) -> bool:
+    try:
+        return a.samefile(b)
+    except OSError:
+        return False
+
+
+def make_folder(path: Path) -> None:
+    """A folder to write into, made where it is missing; raises PoserError where it cannot be."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except FileExistsError as e:
+        raise PoserError(f"{path}: is a file, expected a folder") from e
+    except OSError as e:
+        raise PoserError(f"{path}: the folder cannot be made: {e.strerror}") from e
+    if not os.access(path, os.W_OK):
+        raise PoserError(f"{path}: the folder cannot be written to")
+
+
+def write(path: Path, content: Content, extra: Mapping[str, np.ndarray] | None = None) -> None:
+    """A motion as AMASS `.npz` or `.bvh`, a recording as native `.npz`: whole or not at all."""
+    from mocap.motion import Motion
+
+    if isinstance(content, Motion):
+        if path.suffix.lower() == ".bvh":
+            from mocap.formats.bvh import write_motion as write_bvh
+
+            write_bvh(path, content)
+        else:
+            from mocap.formats.amass import write_motion as write_amass
+
+            write_amass(path, content, extra)
+        return
+    from mocap.formats.native import FORMAT
+
+    assert FORMAT.write is not None
+    FORMAT.write(path, content)
+
+
+def write_text(path: Path, text: str) -> None:
+    """A text file in UTF-8: whole or not at all."""
+    from mocap.formats._files import write_aside
+
+    with write_aside(path) as aside:
+        aside.write_text(text, encoding="utf-8")

@@ -1,0 +1,162 @@
+"""Pieces of command lines that several commands share, and the types of their arguments."""
+
+from __future__ import annotations
+
+import math
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from poser.console import UsageError
+
+if TYPE_CHECKING:
+    from mocap.formats import Options
+
+UNITS = ("g", "m/s^2", "deg/s", "rad/s")
+SENSORS_HELP = "six, five, all, or names separated by commas"
+
+
+def number(text: str) -> float:
+    """A finite number."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise ArgumentTypeError(f"{text!r} is not a number")
+    return value
+
+
+def positive(text: str) -> float:
+    """A finite number above zero."""
+    value = number(text)
+    if value <= 0:
+        raise ArgumentTypeError(f"{text!r} is not above zero")
+    return value
+
+
+def rate(text: str) -> float:
+    """A frame rate in Hz: 1 to 10,000."""
+    value = number(text)
+    if not 1 <= value <= 10_000:
+        raise ArgumentTypeError(f"{text!r} is not a rate between 1 and 10000 Hz")
+    return value
+
+
+def stature(text: str) -> float:
+    """A body height in m."""
+    value = number(text)
+    if not 0.5 <= value <= 2.6:
+        raise ArgumentTypeError(f"{text!r} is not a body height between 0.5 and 2.6 m")
+    return value
+
+
+def cutoff(text: str) -> float | None:
+    """A cut-off in Hz, or none."""
+    return None if text.lower() == "none" else positive(text)
+
+
+def seed(text: str) -> int:
+    """A seed: an integer of zero or more."""
+    if not text.isdecimal():
+        raise ArgumentTypeError(f"{text!r} is not an integer of zero or more")
+    return int(text)
+
+
+def units(text: str) -> frozenset[str]:
+    """Units separated by commas; at most one of accelerations, one of rates."""
+    found = frozenset(u.strip() for u in text.split(","))
+    odd = sorted(found - set(UNITS))
+    if odd:
+        raise ArgumentTypeError(f"unit {odd[0]!r} unknown; known: {', '.join(UNITS)}")
+    for pair in (UNITS[:2], UNITS[2:]):
+        if set(pair) <= found:
+            raise ArgumentTypeError(f"{pair[0]} and {pair[1]} exclude each other")
+    return found
+
+
+def mapping(text: str) -> dict[str, str] | Path:
+    """`name=place,...`, or a file that holds them."""
+    if "=" not in text:
+        return Path(text)
+    pairs = [pair.partition("=") for pair in text.split(",")]
+    out = {a.strip(): b.strip() for a, _, b in pairs}
+    if len(out) < len(pairs) or not all(out) or not all(out.values()):
+        raise ArgumentTypeError(f"{text!r} is not name=place,name=place")
+    return out
+
+
+def numbers(text: str) -> list[float]:
+    """Numbers separated by commas."""
+    return [number(x) for x in text.split(",")]
+
+
+def choice_at(*choices: str) -> Callable[[str], tuple[str, float]]:
+    """A type for `choice@seconds`."""
+
+    def parse(text: str) -> tuple[str, float]:
+        name, at, seconds = text.partition("@")
+        if name not in choices or not at:
+            raise ArgumentTypeError(
+                f"{text!r} is not POSE@SECONDS with POSE {' or '.join(choices)}"
+            )
+        return name, number(seconds)
+
+    return parse
+
+
+def add_reading(parser: ArgumentParser, rate_too: bool = True) -> None:
+    """What a user may say about a file that the file does not say itself."""
+    group = parser.add_argument_group("what the file does not say")
+    group.add_argument("--height", type=stature, metavar="M", help="the body's stature in m")
+    group.add_argument("--scale", type=positive, metavar="X", help="m per length unit of the file")
+    if rate_too:
+        group.add_argument("--rate", type=rate, metavar="HZ", help="frame rate of the file")
+    group.add_argument(
+        "--units", type=units, default=frozenset(), metavar="U,U", help=", ".join(UNITS)
+    )
+    group.add_argument("--smpl", type=Path, metavar="FILE", help="your SMPL body file")
+    group.add_argument(
+        "--map",
+        type=mapping,
+        metavar="NAME=PLACE,...",
+        help="names in the file and the places (or joints) they stand for; or a file with them",
+    )
+
+
+def reading(args: Namespace) -> Options:
+    """The reader's options of parsed arguments; what the command does not offer is unset."""
+    from mocap.formats import Options
+
+    return Options(
+        height=getattr(args, "height", None),
+        scale=getattr(args, "scale", None),
+        rate_hz=getattr(args, "rate", None),
+        units=getattr(args, "units", frozenset()),
+        smpl=getattr(args, "smpl", None),
+        mapping=getattr(args, "map", None),
+    )
+
+
+def add_json(parser: ArgumentParser) -> None:
+    """--json."""
+    parser.add_argument("--json", action="store_true", help="print the answer as JSON")
+
+
+def add_output(parser: ArgumentParser, metavar: str, help: str) -> None:
+    """-o FILE, required."""
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar=metavar, help=help)
+
+
+def sensors(spec: str | None, available: tuple[str, ...] | None = None) -> tuple[str, ...]:
+    """Sensor names of a spec; None means all. A name that no table knows is wrong usage."""
+    from mocap import sensors as places
+    from mocap.errors import SensorError
+
+    if available is None:
+        try:
+            return places.parse(spec or "six")
+        except SensorError as e:
+            raise UsageError(f"argument --sensors: {e}") from e
+    return places.parse(spec or "all", available)

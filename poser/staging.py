@@ -1,0 +1,70 @@
+"""Where a motion stands, and what it starts from: the floor, and a still pose before it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from mocap import orientation as ori
+from mocap.calibration import ARM_ANGLE_DEG, pose_bones
+from mocap.motion import Motion
+from mocap.orientation import Array
+from mocap.skeleton import SOLE_BELOW_TOE, TABLE_STATURE, Skeleton
+from poser.posing import step
+
+TOES = (10, 11)
+BLEND_S = 1.0  # from the still pose to the motion's first frame
+
+
+def on_the_floor(motion: Motion) -> Motion:
+    """The motion moved vertically so that the lower foot of its first frame stands on y = 0.
+
+    Sensors do not tell how high a body is; a solver leaves the first pelvis at the origin.
+    """
+    p = motion.p_world_root - [0.0, floor_of(motion), 0.0]
+    return replace(motion, p_world_root=p)
+
+
+def floor_of(motion: Motion, frame: int = 0) -> float:
+    """Height in m of the floor under the lower foot of a frame."""
+    toes = motion.p_world_joint[frame, list(TOES), 1]
+    return float(toes.min() - _sole(motion.skeleton))
+
+
+def with_static_pose(motion: Motion, pose: str, seconds: float) -> Motion:
+    """`motion` after standing still in the N- or T-pose for `seconds` s.
+
+    The wearer stands where the motion begins, with its heading, and moves into its first frame within
+    `BLEND_S`: geodesic from pose to frame, at rest at its start.
+    """
+    rate = motion.rate_hz
+    R, p = _standing(motion, pose)
+    still, blend = max(1, round(seconds * rate)), max(1, round(BLEND_S * rate))
+    share = step(np.arange(1, blend + 1) / (blend + 1))
+    turn = ori.log(np.swapaxes(R, -1, -2) @ motion.R_parent_joint[0])
+    R_blend = R @ ori.exp(share[:, None, None] * turn)
+    p_blend = p + share[:, None] * (motion.p_world_root[0] - p)
+    return Motion(
+        rate,
+        np.concatenate([np.tile(R, (still, 1, 1, 1)), R_blend, motion.R_parent_joint]),
+        np.concatenate([np.tile(p, (still, 1)), p_blend, motion.p_world_root]),
+        motion.skeleton,
+    )
+
+
+def _standing(motion: Motion, pose: str) -> tuple[Array, Array]:
+    """Local rotations (24,3,3) and pelvis (3,) m of the pose at the motion's first place and heading."""
+    body = motion.skeleton
+    bones = pose_bones(np.arange(24), pose, ARM_ANGLE_DEG)
+    R = body.local_rotations(bones)
+    R[0] = ori.rot_y(float(ori.heading(motion.R_parent_joint[0, 0])))
+    rest = body.rest_positions
+    up = rest[0, 1] - rest[list(TOES), 1].min() + _sole(body)
+    p = np.array(motion.p_world_root[0])
+    p[1] = floor_of(motion) + up
+    return R, p
+
+
+def _sole(body: Skeleton) -> float:
+    return SOLE_BELOW_TOE * body.stature / TABLE_STATURE
