@@ -1,0 +1,139 @@
+"""From sensors' own frames to bones in the world: a raw recording becomes a calibrated one.
+
+The recording needs one still moment in a known pose. Where the wearer faces comes from --facing,
+--axis, --second, the file, or the motion, in this order; the diagnostics say which and how sure.
+"""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from poser import files, options
+from poser.console import DONE, UsageError, emit, progress, say
+
+if TYPE_CHECKING:
+    from mocap.calibration import Calibration
+    from mocap.recording import RawRecording, Recording
+
+HELP = "a raw recording to a calibrated one"
+
+
+def _axis(text: str) -> tuple[str, str]:
+    name, equals, axis = text.partition("=")
+    if not equals or not name.strip() or len(axis.split()) != 2:
+        raise ArgumentTypeError(f"{text!r} is not SENSOR=AXIS DIRECTION, as in 'pelvis=x forward'")
+    return name.strip(), axis.strip()
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    parser.add_argument("raw", type=Path, metavar="RAW", help="a raw recording")
+    options.add_output(parser, "REC.npz", "the calibrated recording")
+    parser.add_argument(
+        "--pose", choices=("n", "t"), default="n", help="arms down (default) or to the sides"
+    )
+    parser.add_argument(
+        "--at", type=options.number, metavar="SECONDS", help="when (default: it is found)"
+    )
+    parser.add_argument(
+        "--arm-angle", type=options.number, metavar="DEG", help="of the N-pose (default: 80)"
+    )
+    parser.add_argument(
+        "--facing",
+        type=options.number,
+        metavar="DEG",
+        help="heading of the wearer in the sensors' world (0: +z, 90: +x)",
+    )
+    parser.add_argument(
+        "--axis",
+        type=_axis,
+        action="append",
+        default=[],
+        metavar="SENSOR=AXIS DIRECTION",
+        help="a known mounting: pelvis='x forward'; may be repeated",
+    )
+    parser.add_argument(
+        "--second",
+        type=options.choice_at("n", "t"),
+        metavar="POSE@SECONDS",
+        help="another static pose: t@12.5",
+    )
+    parser.add_argument(
+        "--orientation",
+        choices=("auto", "file", "vqf"),
+        default="auto",
+        help="the file's (default where it has one), or fused from gyr, acc and mag",
+    )
+    parser.add_argument(
+        "--no-strict", action="store_true", help="go on where a diagnostic is an error"
+    )
+    parser.add_argument("--sensors", metavar="S", help=f"{options.SENSORS_HELP} (default: all)")
+    options.add_reading(parser)
+    options.add_json(parser)
+
+
+def run(args: Namespace) -> int:
+    files.check_output(args.output, [args.raw], (".npz",))
+    if args.arm_angle is not None and args.pose == "t" and args.second is None:
+        raise UsageError("argument --arm-angle: the T-pose has its arms at 0")
+    raw = files.raw(args.raw, options.reading(args))
+    with progress(f"calibrating {args.raw.name}"), files.about(args.raw):
+        raw = raw.select(options.sensors(args.sensors, raw.sensors))
+        recording, calibration = _calibrate(raw, args)
+    files.write(args.output, recording)
+    if args.json:
+        emit(record(calibration, recording))
+    else:
+        _print(args.output, calibration, recording)
+    return DONE
+
+
+def _calibrate(raw: RawRecording, args: Namespace) -> tuple[Recording, Calibration]:
+    from mocap import calibration
+
+    angle = calibration.ARM_ANGLE_DEG if args.arm_angle is None else args.arm_angle
+    return calibration.calibrate(
+        raw,
+        pose=args.pose,
+        at=args.at,
+        arm_angle_deg=angle,
+        facing=args.facing,
+        axes=dict(args.axis),
+        second=args.second,
+        orientation=args.orientation,
+        strict=not args.no_strict,
+    )
+
+
+def record(calibration: Calibration, recording: Recording) -> dict[str, Any]:
+    """The JSON of `poser calibrate`."""
+    return calibration.to_dict() | {
+        "frames": len(recording),
+        "rate_hz": recording.rate_hz,
+        "has_reference": recording.reference is not None,
+    }
+
+
+def _print(path: Path, calibration: Calibration, recording: Recording) -> None:
+    import numpy as np
+
+    start, stop = calibration.time
+    sigma = float(np.rad2deg(calibration.heading_sigma).max())
+    sure = "assumed" if sigma > 179 else f"to {sigma:.0f} deg"
+    say(f"{calibration.pose.upper()}-pose at {start:.2f} to {stop:.2f} s")
+    say(f"facing from: {calibration.method} ({sure})")
+    say(f"orientation: {calibration.orientation}")
+    for f in calibration.diagnostics:
+        say(f"{f.severity:<8} {f.sensor or 'body'}: {_without(f.sensor, f.sentence)}")
+    if not calibration.diagnostics:
+        say("nothing doubtful")
+    say(
+        f"{path}: {len(recording)} frames at {recording.rate_hz:g} Hz, "
+        f"{len(recording.sensors)} sensors"
+    )
+
+
+def _without(sensor: str | None, sentence: str) -> str:
+    """The sentence without the sensor's name, which stands before it already."""
+    return sentence.removeprefix(f"sensor {sensor}: ") if sensor else sentence
