@@ -313,6 +313,7 @@ def _mesh_cm(p: Motion, r: Motion, smpl: Skeleton | None) -> float | None:
         for motion in (p, r):
             local = np.array(motion.R_parent_joint[start : start + chunk])
             local[:, list(MASKED)] = np.eye(3)
-            vertices.append(smpl.mesh.vertices(local, np.zeros((len(local), 3))))
+            masked = Motion(motion.rate_hz, local, np.zeros((len(local), 3)), smpl)
+            vertices.append(smpl.mesh.vertices(masked))
         total += float(np.linalg.norm(vertices[0] - vertices[1], axis=-1).mean(axis=-1).sum())
     return 100 * total / len(p)
