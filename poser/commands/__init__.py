@@ -3,5 +3,5 @@
 The module's docstring is the command's description. Heavy imports belong inside `run`.
 """
 
-NAMES: tuple[str, ...] = ("info", "convert", "synthesize", "calibrate", "solve", "evaluate")
+NAMES: tuple[str, ...] = ("demo", "info", "convert", "synthesize", "calibrate", "solve", "evaluate")
 """Commands in the order of `poser --help`."""

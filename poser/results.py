@@ -1,0 +1,93 @@
+"""What several methods made of one or more recordings: the record behind tables, pictures, reports."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from mocap.metrics import Metrics, mean_over
+from mocap.motion import Motion
+
+SCHEMA = "poser-compare/1"
+NAMES = {"sop": "SOP", "sip": "SIP", "mean-pose": "mean pose", "nearest-pose": "nearest pose"}
+NO_SKILL = ("mean-pose", "nearest-pose")
+"""Methods that need no skill: the rows that every table is read against."""
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """One method on one recording. figures: what the method reports of itself (see `poser solve`)."""
+
+    motion: Motion
+    metrics: Metrics
+    figures: Mapping[str, Any] = field(default_factory=dict)
+
+    def to_json(self) -> dict[str, Any]:
+        """All of evaluate and of what the method reports."""
+        return {**self.figures, **self.metrics.to_json()}
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """Methods on one recording. reference: where the truth comes from, in words."""
+
+    name: str
+    reference: str
+    methods: Mapping[str, Result]
+
+
+def to_json(recordings: Sequence[Compared]) -> dict[str, Any]:
+    """The content of `results.json`: per recording, and the mean of per-recording means."""
+    return {
+        "schema": SCHEMA,
+        "recordings": [
+            {
+                "name": r.name,
+                "reference": r.reference,
+                "methods": {name: m.to_json() for name, m in r.methods.items()},
+            }
+            for r in recordings
+        ],
+        "mean": {name: _mean(name, recordings) for name in _methods(recordings)},
+    }
+
+
+def _methods(recordings: Sequence[Compared]) -> list[str]:
+    """Every method that ran anywhere, in order of appearance."""
+    return list(dict.fromkeys(name for r in recordings for name in r.methods))
+
+
+def _mean(name: str, recordings: Sequence[Compared]) -> dict[str, Any]:
+    found = [r.methods[name] for r in recordings if name in r.methods]
+    out = mean_over([m.metrics for m in found]).to_json()
+    for key in ("seconds", "iterations"):
+        known = [m.figures[key] for m in found if key in m.figures]
+        if known:
+            out[key] = sum(known) / len(known)
+    return out
+
+
+COLUMNS: tuple[tuple[str, str, int], ...] = (
+    ("sip_deg", "SIP deg", 1),
+    ("angular_deg", "angular deg", 1),
+    ("position_cm", "position cm", 1),
+    ("global_deg", "global deg", 1),
+    ("instrumented_deg", "instr. deg", 1),
+    ("jitter", "jitter 100 m/s^3", 2),
+    ("translation_m_per_m", "drift m/m", 2),
+    ("seconds", "seconds", 1),
+)
+"""JSON name, heading with its unit, decimals: the columns of a comparison."""
+
+
+def rows(mean: Mapping[str, Mapping[str, Any]]) -> tuple[list[str], list[list[str]]]:
+    """Heading and rows of a comparison, one row a method, of the "mean" of `results.json`."""
+    out = []
+    for name, values in mean.items():
+        cells = [NAMES.get(name, name)]
+        for key, _, digits in COLUMNS:
+            value = values.get(key)
+            cells.append("-" if value is None else f"{value:.{digits}f}")
+        out.append(cells)
+    return ["method", *(heading for _, heading, _ in COLUMNS)], out
