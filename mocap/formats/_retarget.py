@@ -70,6 +70,7 @@ def retarget(source: Source, skeleton: Skeleton, scale: float | None = None) -> 
         "the path is scaled by the ratio of leg lengths, and the lowest foot stands on the floor y = 0"
     )
     motion = Motion(source.rate_hz, skeleton.local_rotations(R), p, skeleton)
+    doubts += _beyond_anatomy(motion.R_parent_joint)
     return Retargeted(motion, tuple(said), tuple(doubts))
 
 
@@ -194,6 +195,26 @@ def _moving_bones(source: Source, roles: Roles) -> list[str]:
                 f"units; the mean is used"
             ]
     return []
+
+
+# Joints that no body turns so far from the T-pose, in deg (a wrist's angle holds the forearm's twist).
+_STIFF = {"neck": 120.0, "head": 120.0, "left_ankle": 120.0, "right_ankle": 120.0,
+          "left_wrist": 150.0, "right_wrist": 150.0}  # fmt: skip
+
+
+def _beyond_anatomy(R_parent_joint: Array) -> list[str]:
+    """A doubt for each joint that turns beyond `_STIFF`: a fault of the source's own angles."""
+    doubts = []
+    for name, limit in _STIFF.items():
+        cosine = (np.trace(R_parent_joint[:, INDEX[name]], axis1=-2, axis2=-1) - 1) / 2
+        frames = np.flatnonzero(cosine < np.cos(np.radians(limit)))
+        if len(frames):
+            most = np.degrees(np.arccos(max(float(cosine.min()), -1.0)))
+            doubts.append(
+                f"{name} turns by up to {most:.0f} deg, more than a body can, in {len(frames)} "
+                f"frames between {frames[0]} and {frames[-1]}"
+            )
+    return doubts
 
 
 def _backward_knees(R: Array, skeleton: Skeleton) -> list[str]:

@@ -10,6 +10,7 @@ so that all bones' frames agree with the world at zero angles, as BVH has it; `_
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from mocap.errors import FormatError
 from mocap.formats import Document, Format, Options, _checks
 from mocap.formats._asf_text import ROTATIONS, AsfFile, Bone, parse_amc, parse_asf
 from mocap.formats._bvh_text import euler
+from mocap.formats._neutral import minimal_rotation
 from mocap.formats._retarget import retarget
 from mocap.formats._source import Source, assign, needed
 from mocap.motion import check_rate
@@ -101,7 +103,26 @@ def _source(path: Path, asf: AsfFile, rate: float, options: Options) -> tuple[So
         {0: _path(asf.bones[0], values.get(asf.bones[0].name), T)},
         given,
     )
-    return whole.only(needed(whole, assign(whole))), _doubts(asf, values)
+    roles = assign(whole)
+    for hip, knee in ((1, 4), (2, 5)):
+        whole = _straightened(whole, roles.joint[hip], roles.joint[knee])
+    return whole.only(needed(whole, roles)), _doubts(asf, values)
+
+
+def _straightened(source: Source, hip: int, knee: int) -> Source:
+    """The leg from joint `hip` on with the frames of a vertical leg.
+
+    At zero angles CMU's legs are spread by 20 deg, feet included: a frame that agrees with the world then
+    would make the feet roll by 20 deg whenever the legs are together. With S the smallest rotation from
+    down to the thigh, G' = G S, so R' = R S at the hip and S^T R S below it, and offsets turn by S^T.
+    """
+    S = minimal_rotation(np.array([0.0, -1.0, 0.0]), source.offsets[knee])
+    R, offsets = np.array(source.R_local), np.array(source.offsets)
+    below = source.below(hip)
+    R[:, [hip, *below]] = R[:, [hip, *below]] @ S
+    R[:, below] = S.T @ R[:, below]
+    offsets[below] = offsets[below] @ S
+    return replace(source, R_local=R, offsets=offsets)
 
 
 def _turned(bone: Bone, values: Array | None, T: int) -> Array:
