@@ -254,7 +254,7 @@ def _first_frame(path: Path, words: list[str], bones: dict[str, Bone]) -> list[t
     """Names and numbers of values of the bones in frame 1; those of all others are the same."""
     first: list[tuple[str, int]] = []
     at = 1
-    while at < len(words) and words[at] != "2":
+    while at < len(words) and not words[at].isdigit():
         bone = bones.get(words[at])
         if bone is None:
             raise FormatError(
