@@ -135,7 +135,7 @@ def assign(source: Source) -> Roles:
         shown = ", ".join(n for n in source.names if n)
         raise FormatError(
             source.path,
-            f"no joint was recognised as {', '.join(missing)} (the file names {shown[:400]})",
+            f"no joint was recognised as {', '.join(missing)} (the file names {shown[:160]})",
         )
     joint = {INDEX[name]: i for name, i in named.items()}
     _check_chains(source, joint)

@@ -82,7 +82,11 @@ def joint_name(joint: str, names: dict[str, str], style: str) -> str | None:
     """A tool's name of our joint; None where the tool has no such joint. style: "{side}{name}" or so."""
     side, _, stem = joint.partition("_")
     if side not in ("left", "right"):
-        return style.format(side="", name=names[joint]).strip("._") if joint in names else None
+        return (
+            style.format(side="", name=names[joint], letter="").strip(".")
+            if joint in names
+            else None
+        )
     if stem not in names:
         return None
     return style.format(side=side.capitalize(), name=names[stem], letter=side[0].upper())
