@@ -323,7 +323,7 @@ BROKEN: dict[str, tuple[Callable[[str], str], str]] = {
     "channels too many": (swap("CHANNELS 3", "CHANNELS 4"), "line 10: .*channel .joint. unknown"),
     "huge channel count": (swap("CHANNELS 3", "CHANNELS 999999999"), "line 9: found .999999999"),
     "channel unknown": (swap("CHANNELS 3 Zrotation", "CHANNELS 3 Qrotation"), "(?i)qrotation"),
-    "channel twice": (swap("Zrotation Xrotation Yrotation", "Zrotation Zrotation Yrotation"), "a channel occurs twice"),
+    "channel twice": (swap("Zposition Zr", "Xposition Zr"), "a channel occurs twice"),
     "offset is a word": (swap("OFFSET 0 0 0", "OFFSET 0 x 0"), "'x'"),
     "offset is nan": (swap("OFFSET 0 0 0", "OFFSET 0 nan 0"), "line 4: found .nan."),
     "brace missing": (swap("}\nMOTION", "MOTION"), "closing braces are missing"),
