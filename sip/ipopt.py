@@ -6,6 +6,10 @@ solver and IPOPT cannot disagree about the problem.
 
 from __future__ import annotations
 
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import casadi as ca
@@ -92,12 +96,40 @@ class _Callback(ca.Callback):
         return True
 
     def eval_buffer(self, arg: Any, res: Any) -> int:
+        if self._owner.interrupted is not None:
+            return 1
         try:
             self._run(np.frombuffer(arg[0], dtype=float), res)
         except BaseException as e:  # IPOPT is C: the exception must not cross it
             self._owner.interrupted = e
             return 1
         return 0
+
+
+@contextmanager
+def _interruptible(oracle: _Oracle) -> Iterator[None]:
+    """Ctrl-C in this block makes the next evaluation fail, which ends IPOPT.
+
+    CasADi looks for signals between evaluations too, and drops the exception that Python's own handler
+    raises there. Only the main thread receives signals, so elsewhere nothing is changed.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def keep(number: int, frame: Any) -> None:
+        oracle.interrupted = KeyboardInterrupt()
+
+    before = signal.getsignal(signal.SIGINT)
+    # Ignored on purpose (nohup, a shell's background job), or not set from Python: leave it.
+    if before is not signal.default_int_handler:
+        yield
+        return
+    signal.signal(signal.SIGINT, keep)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _write(buffer: Any, values: Array) -> None:
@@ -225,11 +257,12 @@ def minimise(
         "sip", "ipopt", {"x": z, "f": f_cb(z)}, options | {"grad_f": g_cb, "hess_lag": h_cb}
     )
     free = np.full(problem.border, np.inf)
-    out = solver(
-        x0=oracle.join(oracle.x0, u.ravel()[: problem.border]),
-        lbx=oracle.join(lower, -free),
-        ubx=oracle.join(upper, free),
-    )
+    with _interruptible(oracle):
+        out = solver(
+            x0=oracle.join(oracle.x0, u.ravel()[: problem.border]),
+            lbx=oracle.join(lower, -free),
+            ubx=oracle.join(upper, free),
+        )
     if oracle.interrupted is not None:
         raise oracle.interrupted
     stats = solver.stats()
