@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from poser import commands
-from poser.console import DONE, FAILED, INTERRUPTED, WRONG_USAGE, UsageError, complain
+from poser.console import DONE, FAILED, INTERRUPTED, WRONG_USAGE, UsageError, complain, tell_notes
 
 DEBUG_HELP = "show where an error comes from"
 
@@ -69,12 +69,14 @@ def main(argv: list[str] | None = None) -> int:
         _own_process()
     words = sys.argv[1:] if argv is None else argv
     name = "poser"
+    tell_notes(keep=False)
     try:
         args = parser().parse_args(words)
         name = f"poser {args.command}"
         status = int(args.run(args))
         if sys.stdout is not None:
             sys.stdout.flush()
+        tell_notes()
         return status
     except SystemExit as e:
         return e.code if isinstance(e.code, int) else WRONG_USAGE

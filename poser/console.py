@@ -29,9 +29,19 @@ def complain(sentence: str, name: str = "poser") -> None:
         return  # stderr is closed: the exit status has to do
 
 
+_notes: list[str] = []
+
+
 def note(sentence: str) -> None:
-    """A warning or an assumption on stderr."""
-    complain(sentence, "note")
+    """A warning or an assumption, told on stderr at the end: an error stands alone there."""
+    _notes.append(sentence)
+
+
+def tell_notes(keep: bool = True) -> None:
+    """Print the notes so far, or forget them (`keep` False)."""
+    for sentence in dict.fromkeys(_notes if keep else ()):
+        complain(sentence, "note")
+    _notes.clear()
 
 
 def say(text: str = "") -> None:

@@ -1,0 +1,285 @@
+"""Each command end to end, through main(argv)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mocap import metrics
+from mocap.formats import amass, bvh, native
+from poser.__main__ import main
+
+Answer = Callable[..., Any]
+Refusal = Callable[..., tuple[int, str]]
+
+
+def test_info_of_a_motion(folder: Path, answer: Answer) -> None:
+    facts = answer("info", folder / "walk.npz")
+    assert (facts["kind"], facts["format"], facts["rate_hz"]) == ("motion", "amass", 60.0)
+    assert (facts["frames"], facts["seconds"], facts["sensors"]) == (180, 3.0, [])
+
+
+def test_info_of_a_recording_counts_its_gaps(folder: Path, answer: Answer) -> None:
+    facts = answer("info", folder / "rec" / "walk.npz")
+    assert facts["kind"] == "recording"
+    assert facts["has_reference"] is True
+    assert len(facts["sensors"]) == 6
+    valid = native.read_recording(folder / "rec" / "walk.npz").valid
+    assert sum(g["frames"] for g in facts["gaps"]) == (~valid).sum()
+    for gap in facts["gaps"]:
+        assert gap["longest_seconds"] == pytest.approx(gap["longest_frames"] / 60)
+
+
+def test_info_for_people(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["info", str(folder / "raw" / "long.npz")]) == 0
+    out = capsys.readouterr().out
+    assert "raw (native)" in out and "660 frames at 60 Hz" in out
+
+
+def test_convert_there_and_back(folder: Path, tmp_path: Path) -> None:
+    there, back = tmp_path / "w.bvh", tmp_path / "w.npz"
+    assert main(["convert", str(folder / "walk.npz"), str(there)]) == 0
+    assert main(["convert", str(there), str(back)]) == 0
+    a, b = amass.read_motion(folder / "walk.npz"), amass.read_motion(back)
+    assert np.abs(a.p_world_joint - b.p_world_joint).max() < 1e-5
+
+
+def test_convert_resamples_motions(folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "slow.bvh"
+    assert main(["convert", str(folder / "walk.npz"), str(out), "--resample", "30"]) == 0
+    assert bvh.read(out, native.Options()).content.rate_hz == pytest.approx(30)
+
+
+@pytest.mark.parametrize(
+    ("source", "target", "words", "said"),
+    [
+        ("rec/walk.npz", "x.bvh", [], "a .bvh file holds a motion"),
+        ("rec/walk.npz", "x.npz", ["--resample", "30"], "--resample"),
+        ("walk.npz", "x.txt", [], "must end in .npz or .bvh"),
+        ("walk.npz", "none/x.bvh", [], "there is no folder"),
+        ("absent.npz", "x.bvh", [], "no such file"),
+        ("walk.npz", "x.bvh", ["--units", "g,m/s^2"], "exclude each other"),
+        ("walk.npz", "x.bvh", ["--height", "180"], "between 0.5 and 2.6 m"),
+    ],
+)
+def test_convert_refuses_nonsense(
+    folder: Path, tmp_path: Path, refusal: Refusal, source: str, target: str, words: list[str],
+    said: str,
+) -> None:  # fmt: skip
+    _, sentence = refusal("convert", folder / source, tmp_path / target, *words)
+    assert said in sentence
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_input_is_never_overwritten(folder: Path, refusal: Refusal) -> None:
+    for words in (
+        ("convert", folder / "walk.npz", folder / "walk.npz"),
+        ("solve", folder / "rec" / "walk.npz", "-o", folder / "rec" / "walk.npz"),
+        ("calibrate", folder / "raw" / "long.npz", "-o", folder / "raw" / "long.npz"),
+        ("synthesize", folder / "walk.npz", "-o", folder),
+    ):
+        before = Path(words[1]).read_bytes()
+        status, sentence = refusal(*words)
+        assert status == 2
+        assert "is the input" in sentence
+        assert Path(words[1]).read_bytes() == before
+
+
+def test_noise_depends_on_seed_and_name_only(folder: Path, tmp_path: Path) -> None:
+    def acc(where: str, *words: str) -> np.ndarray:
+        args = ["synthesize", *words, "-o", str(tmp_path / where), "--noise", "realistic"]
+        assert main(args) == 0
+        return native.read_recording(tmp_path / where / "walk.npz").acc_world
+
+    walk, long = str(folder / "walk.npz"), str(folder / "long.npz")
+    alone = acc("a", walk)
+    np.testing.assert_array_equal(alone, acc("b", long, walk))
+    other = acc("c", walk, "--seed", "1")
+    assert np.nanmax(np.abs(alone - other)) > 0.5
+
+
+def test_synthesize_sensors_rate_and_stem(folder: Path, tmp_path: Path, refusal: Refusal) -> None:
+    args = ["synthesize", str(folder / "walk.npz"), "-o", str(tmp_path / "new" / "deep")]
+    assert main([*args, "--sensors", "all", "--rate", "30", "--lowpass", "none"]) == 0
+    made = native.read_recording(tmp_path / "new" / "deep" / "walk.npz")
+    assert (len(made.sensors), made.rate_hz) == (17, 30.0)
+    twin = tmp_path / "walk.npz"
+    twin.write_bytes((folder / "walk.npz").read_bytes())
+    status, sentence = refusal("synthesize", twin, *args[1:])
+    assert status == 2
+    assert "would both be written to walk.npz" in sentence
+    status, sentence = refusal(*args, "--sensors", "nose")
+    assert status == 2
+    assert "sensor nose unknown" in sentence
+
+
+def test_one_bad_motion_does_not_stop_the_others(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bad = tmp_path / "bad.bvh"
+    bad.write_text("HIERARCHY\nnonsense\n")
+    words = ["synthesize", str(bad), str(folder / "walk.npz"), "-o", str(tmp_path / "out")]
+    assert main(words) == 1
+    assert str(bad) in capsys.readouterr().err
+    assert [p.name for p in (tmp_path / "out").iterdir()] == ["walk.npz"]
+
+
+def test_a_static_pose_is_prepended_and_calibrates(folder: Path, tmp_path: Path) -> None:
+    args = ["synthesize", str(folder / "walk.npz"), "-o", str(tmp_path), "--raw"]
+    assert main([*args, "--static-pose", "t", "--static-seconds", "2"]) == 0
+    raw = native.read_raw(tmp_path / "walk.npz")
+    assert raw.seconds == pytest.approx(6.0, abs=0.05)
+    assert raw.reference is not None
+    hands = raw.reference.p_world_joint[10, [20, 21]]
+    assert np.abs(hands[:, 0]).min() > 0.6
+    words = ["calibrate", str(tmp_path / "walk.npz"), "-o", str(tmp_path / "rec.npz")]
+    assert main([*words, "--pose", "t"]) == 0
+
+
+def test_calibrate_finds_the_bones(folder: Path, tmp_path: Path, answer: Answer) -> None:
+    out = tmp_path / "rec.npz"
+    said = answer("calibrate", folder / "raw" / "long.npz", "-o", out, "--facing", "0")
+    assert said["method"] == "facing as given"
+    assert said["has_reference"] is True
+    recording = native.read_recording(out)
+    assert recording.reference is not None
+    true = recording.reference.R_world_joint[:, recording.joint]
+    use = recording.ori_valid
+    cosine = np.einsum("tsij,tsij->ts", true, recording.R_world_bone)[use] / 2 - 0.5
+    assert np.rad2deg(np.arccos(np.clip(cosine, -1, 1))).mean() < 15
+
+
+def test_calibrate_for_people(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["calibrate", str(folder / "raw" / "long.npz"), "-o", str(tmp_path / "r.npz")]
+    assert main([*words, "--axis", "pelvis=x forward", "--no-strict"]) in (0, 1)
+    assert main(words) == 0
+    out = capsys.readouterr().out
+    assert "N-pose at" in out and "facing from" in out
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--axis", "pelvis"], "pelvis='x forward'"[:6]),
+        (["--second", "t"], "POSE@SECONDS"),
+        (["--at", "soon"], "is not a number"),
+        (["--pose", "t", "--arm-angle", "80"], "--arm-angle"),
+    ],
+)
+def test_calibrate_wrong_usage(
+    folder: Path, tmp_path: Path, refusal: Refusal, words: list[str], said: str
+) -> None:
+    status, sentence = refusal(
+        "calibrate", folder / "raw" / "long.npz", "-o", tmp_path / "r.npz", *words
+    )
+    assert status == 2
+    assert said in sentence
+
+
+def test_solve_says_how_it_went(folder: Path, tmp_path: Path, answer: Answer) -> None:
+    out = tmp_path / "sop.npz"
+    said = answer(
+        "solve", folder / "rec" / "walk.npz", "-o", out, "--terms", "sop", "--uncertainty"
+    )
+    for key in ("status", "seconds", "iterations", "frames", "cost", "converged", "sigmas"):
+        assert key in said
+    assert said["frames"] == 180
+    assert "acceleration" not in said["cost"]
+    with np.load(out) as f:
+        assert f["poses"].shape == (180, 156)
+        assert f["std_rad"].shape == (180, 24, 3)
+    motion = amass.read_motion(out)
+    assert motion.p_world_joint[0, [10, 11], 1].min() == pytest.approx(0.02, abs=1e-6)
+
+
+def test_solve_a_window_with_some_sensors_from_a_motion(
+    folder: Path, tmp_path: Path, answer: Answer
+) -> None:
+    said = answer(
+        "solve", folder / "rec" / "walk.npz", "-o", tmp_path / "w.bvh", "--solver", "banded",
+        "--sensors", "pelvis,head,left_shank", "--from", "1", "--to", "2", "--self-calibrate",
+        "--start", folder / "sip.npz", "--height", "1.75",
+    )  # fmt: skip
+    assert said["frames"] == 60
+    assert said["used_sensors"] == ["pelvis", "head", "left_shank"]
+    assert list(said["sensors"]) == said["used_sensors"]
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "said"),
+    [
+        (["--start", "dip"], 1, "not part of this installation yet"),
+        (["--betas", "1,2"], 2, "--smpl"),
+        (["--from", "7"], 1, "it runs from 0 s to 3 s"),
+        (["--sensors", "left_foot"], 1, "not in the recording"),
+        (["--start", "absent.npz"], 1, "absent.npz: no such file"),
+        (["--solver", "newton"], 2, "invalid choice"),
+    ],
+)
+def test_solve_refuses(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], status: int,
+    said: str,
+) -> None:  # fmt: skip
+    rec, out = str(folder / "rec" / "walk.npz"), str(tmp_path / "m.npz")
+    assert main(["solve", rec, "-o", out, *words]) == status
+    assert said in capsys.readouterr().err.splitlines()[-1]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_solve_wants_a_calibrated_recording(folder: Path, tmp_path: Path, refusal: Refusal) -> None:
+    status, sentence = refusal("solve", folder / "raw" / "long.npz", "-o", tmp_path / "m.npz")
+    assert status == 1
+    assert "poser calibrate" in sentence
+
+
+def test_evaluate_names_and_nulls(folder: Path, answer: Answer) -> None:
+    found = answer("evaluate", folder / "sip.npz", folder / "rec" / "walk.npz")
+    assert tuple(found) == ("frames", "rate_hz", *metrics.JSON_NAMES[2:])
+    assert found["mesh_cm"] is None
+    assert found["left_out_deg"] is None
+    assert 0 < found["instrumented_deg"] < 30
+    same = answer("evaluate", folder / "walk.npz", folder / "walk.npz")
+    assert same["sip_deg"] == pytest.approx(0, abs=1e-5)
+    assert same["world_position_cm"] == pytest.approx(0, abs=1e-6)
+
+
+def test_evaluate_with_sensors_left_out(folder: Path, answer: Answer) -> None:
+    found = answer(
+        "evaluate", folder / "sip.npz", folder / "rec" / "walk.npz", "--sensors", "pelvis,head"
+    )
+    assert 0 < found["left_out_deg"] < 60
+
+
+def test_evaluate_for_people(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    capsys.readouterr()
+    assert main(["evaluate", str(folder / "sip.npz"), str(folder / "walk.npz")]) == 0
+    out = capsys.readouterr().out
+    assert "sip_deg" in out and "deg" in out and "cm" in out
+
+
+def test_evaluate_refuses(folder: Path, refusal: Refusal) -> None:
+    _, sentence = refusal("evaluate", folder / "sip.npz", folder / "long.npz")
+    assert "sip.npz" in sentence and "one frame at most" in sentence
+    _, sentence = refusal("evaluate", folder / "rec" / "walk.npz", folder / "walk.npz")
+    assert "expected a motion" in sentence
+
+
+def test_demo(tmp_path: Path, answer: Answer) -> None:
+    found = answer("demo", "-o", tmp_path / "d", "--seconds", "3")
+    assert found["schema"] == "poser-compare/1"
+    methods = {"sop", "sip", "mean-pose", "nearest-pose"}
+    assert set(found["mean"]) == set(found["recordings"][0]["methods"]) == methods
+    assert found == json.loads((tmp_path / "d" / "results.json").read_text())
+    for name in (*methods, "reference"):
+        assert len(amass.read_motion(tmp_path / "d" / f"{name}.npz")) == 180
+    page = (tmp_path / "d" / "report.html").read_text()
+    assert page.count("data:image/png;base64,") == 3
+    assert "http://" not in page and "https://" not in page
+    assert (tmp_path / "d" / "poses.png").read_bytes().startswith(b"\x89PNG")
