@@ -122,7 +122,7 @@ def _print(path: Path, calibration: Calibration, recording: Recording) -> None:
     sigma = float(np.rad2deg(calibration.heading_sigma).max())
     sure = "assumed" if sigma > 179 else f"to {sigma:.0f} deg"
     say(f"{calibration.pose.upper()}-pose at {start:.2f} to {stop:.2f} s")
-    say(f"facing from: {calibration.method} ({sure})")
+    say(f"facing: {calibration.method} ({sure})")
     say(f"orientation: {calibration.orientation}")
     for f in calibration.diagnostics:
         say(f"{f.severity:<8} {f.sensor or 'body'}: {_without(f.sensor, f.sentence)}")

@@ -1,0 +1,33 @@
+"""The examples run alone, as a user runs them."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+
+
+@pytest.mark.parametrize(
+    ("name", "seconds", "said"),
+    [
+        ("synthesize_and_solve", 3, "SIP: "),
+        ("calibrate_raw", 11, "the same"),
+        ("fewer_sensors", 3, "pelvis alone"),
+    ],
+)
+def test_example(name: str, seconds: int, said: str, tmp_path: Path) -> None:
+    line = [sys.executable, str(EXAMPLES / f"{name}.py"), "--seconds", str(seconds)]
+    done = subprocess.run(line, capture_output=True, text=True, timeout=120, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert said in done.stdout
+    assert done.stderr == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_every_example_is_tested() -> None:
+    names = {p.stem for p in EXAMPLES.glob("*.py")}
+    assert names == {"synthesize_and_solve", "calibrate_raw", "fewer_sensors"}
