@@ -8,6 +8,7 @@ about where the body is: the pelvis stays at its rest place.
 from __future__ import annotations
 
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -79,7 +80,7 @@ def _relative(A: Array, B: Array) -> Array:
     return R.reshape(len(R), -1)
 
 
-def _held(x: NDArray[np.int64], known: NDArray[np.bool_]) -> NDArray[np.int64]:
+def _held(x: NDArray[np.int64], known: Any) -> NDArray[np.int64]:
     """x with unknown entries taken from the last known one before them (the first known at the start)."""
     at = np.flatnonzero(known)
     if not len(at):
@@ -103,14 +104,13 @@ def _root(recording: Recording, rotations: Array) -> Array:
     onto all valid sensors, project(sum_s R_s B_s^T). A frame without any keeps its neighbour's."""
     T = len(recording)
     valid = recording.ori_valid
-    known = np.zeros(T, bool)
     R = np.tile(np.eye(3), (T, 1, 1))
     use = [s for s in range(len(recording.sensors)) if recording.joint[s] == 0]
     if not valid[:, use].any():
         use = list(range(len(recording.sensors)))
     B = rotations[:, recording.joint[use]]
     measured = np.where(valid[:, use, None, None], recording.R_world_bone[:, use], 0.0)
-    known = valid[:, use].any(axis=1)
+    known: Any = valid[:, use].any(axis=1)
     total = np.einsum("tsij,tskj->tik", measured, B)
     R[known] = ori.project(total[known])
     return R[_held(np.arange(T), known)]

@@ -49,8 +49,9 @@ class RawRecording:
 
     gyr (T,S,3) rad/s; acc (T,S,3) m/s^2 with gravity (specific force: a still, upright sensor reads
     +9.81 on its up axis); mag (T,S,3) in any unit, or None; R_world_sensor (T,S,3,3) in a y-up world,
-    or None; valid (T,S). reference: a known motion, frame for frame, if any. truth: what was synthesised (JSON-like), if anything. facing_rad: heading of the
-    person's forward in the static pose, in the world of R_world_sensor: forward = (sin, 0, cos), where
+    or None; valid (T,S). reference: a known motion, frame for frame, if any. truth: what was synthesised
+    (JSON-like), if anything. facing_rad: heading of the person's forward in the static pose, in the world
+    of R_world_sensor: forward = (sin, 0, cos), where
     the file knows it (a reader of segment frames does; see `mocap.calibration`). common_heading: whether
     all sensors of R_world_sensor share one heading (False: 6-axis orientation, each its own).
     """

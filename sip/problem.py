@@ -243,8 +243,9 @@ def build(
                 recording.acc_valid, border,
             )
         )  # fmt: skip
-    if s.prior_weight > 0:
-        terms.append(PosePrior(prior.mean, prior.covariance, s.prior_floor, s.prior_weight))
+    weight = s.prior_weight_calibrating if border else s.prior_weight
+    if weight > 0:
+        terms.append(PosePrior(prior.mean, prior.covariance, s.prior_floor, weight))
     if s.sigma_limits > 0:
         terms.append(Limits(prior.lower, prior.upper, s.sigma_limits))
     if s.smooth_order:

@@ -23,24 +23,28 @@ class Settings:
     Sigmas are one standard deviation of the measurement in SI units. smooth_*: sigma of the difference of
     order smooth_order (2: rad/s^2 and m/s^2; 3: per s^3; 0: none). robust_delta: sigmas at which the
     acceleration's cost turns from quadratic to linear.
+    self_calibration: mounting, heading and acceleration bias of each sensor are unknowns with the sigmas
+    below. prior_weight_calibrating then replaces prior_weight: frames of one clip share their deviation
+    from the mean pose, and a prior that counts them as independent would explain it by mounting.
     """
 
     terms: Literal["sop", "sip"] = "sip"
     solver: Literal["ipopt", "ipopt-cold", "banded"] = "ipopt"
     start: Literal["prior"] | Motion = "prior"
     prior: Prior = field(default_factory=shipped)
-    sigma_orientation: float = 5 * DEG
-    sigma_acceleration: float = 0.5
+    sigma_orientation: float = 3.5 * DEG
+    sigma_acceleration: float = 1.0
     robust_delta: float = 4.0
     prior_weight: float = 0.3
     prior_floor: float = 3 * DEG
     sigma_limits: float = 5 * DEG
     smooth_order: Literal[0, 2, 3] = 2
-    smooth_angle: float = 60.0
-    smooth_root: float = 60.0
-    smooth_position: float = 6.0
+    smooth_angle: float = 75.0
+    smooth_root: float = 75.0
+    smooth_position: float = 7.5
     sigma_gauge: float = 100.0
     self_calibration: bool = False
+    prior_weight_calibrating: float = 0.1
     sigma_mounting: float = 4 * DEG
     sigma_heading: float = 3 * DEG
     sigma_bias: float = 0.1

@@ -27,7 +27,8 @@ class Options:
     """What a user may tell a reader that the file does not say.
 
     height: the body's stature in m. scale: m per length unit of the file. rate_hz: where the file names
-    none. units: "g" or "m/s^2" for accelerations, and "deg/s" or "rad/s" for rates, in a set. smpl: the user's SMPL body file.
+    none. units, a set: "g" or "m/s^2" for accelerations, "deg/s" or "rad/s" for rates, "y-up" where the
+    file's world is not z-up. smpl: the user's SMPL body file.
     mapping: sensor names of the file to places of the table, or a file that holds them (by format).
     """
 

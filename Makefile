@@ -1,0 +1,52 @@
+# make demo, make test: everything is set up in .venv on the first call (Python 3.11+ and make only).
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+# One clone may move: paths are relative, and the stamp follows what it was made from.
+
+.PHONY: help venv demo test lint types check bench bench-split bench-real prior clean
+
+help:
+	@echo "make demo         all methods on the built-in recording, with pictures and a report in poser-demo/"
+	@echo "make test         lint, types and the whole test suite"
+	@echo "make bench        speed: solver ways, length, number of sensors, memory"
+	@echo "make bench-split  accuracy on the fixed test split (needs the data, see README)"
+	@echo "make bench-real   the real recording (needs the data)"
+
+$(STAMP): pyproject.toml constraints.txt
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install -q -c constraints.txt -e ".[dev]"
+	touch $(STAMP)
+
+venv: $(STAMP)
+
+demo: $(STAMP)
+	$(BIN)/poser demo -o poser-demo
+
+lint: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(STAMP)
+	$(BIN)/mypy
+
+check: $(STAMP)
+	$(BIN)/python -m pytest
+
+test: lint types check
+
+bench: $(STAMP)
+	$(BIN)/python benchmarks/speed.py
+
+bench-split: $(STAMP)
+	$(BIN)/python benchmarks/split.py
+
+bench-real: $(STAMP)
+	$(BIN)/python benchmarks/real.py
+
+prior: $(STAMP)
+	$(BIN)/python scripts/make_prior.py
+
+clean:
+	rm -rf $(VENV) build *.egg-info poser-demo

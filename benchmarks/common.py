@@ -1,0 +1,55 @@
+"""What the benchmarks share: the machine, a fixed matrix product, tables, parallel clips."""
+
+from __future__ import annotations
+
+import os
+import platform
+import statistics
+import time
+import zlib
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+
+def data_folder() -> Path:
+    """`shared/` beside the repository, or $POSER_SHARED."""
+    here = Path(__file__).resolve().parents[1]
+    return Path(os.environ.get("POSER_SHARED", here.parent / "shared")) / "data"
+
+
+def matrix_product_s(n: int = 1500, runs: int = 5) -> float:
+    """Median seconds of a float64 n x n product on one thread: a measure of the machine now."""
+    from threadpoolctl import threadpool_limits
+
+    a = np.random.default_rng(0).normal(size=(n, n))
+    times = []
+    with threadpool_limits(1, "blas"):
+        for _ in range(runs):
+            t0 = time.perf_counter()
+            a @ a
+            times.append(time.perf_counter() - t0)
+    return statistics.median(times)
+
+
+def machine() -> str:
+    """One line about the machine, with the fixed product beside it."""
+    model = platform.processor() or platform.machine()
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        model = next(x.split(":")[1].strip() for x in lines if x.startswith("model name"))
+    except (OSError, StopIteration):
+        pass  # not Linux: the platform's word has to do
+    product = matrix_product_s()
+    return f"{model}, {os.cpu_count()} cores; 1500 x 1500 float64 product, one thread: {product:.3f} s"
+
+
+def seed_of(name: str) -> int:
+    """The noise of a clip depends on its name alone."""
+    return zlib.crc32(name.encode())
+
+
+def row(cells: Iterable[object], widths: Iterable[int]) -> str:
+    """One line of a text table."""
+    return " ".join(f"{c!s:>{w}}" for c, w in zip(cells, widths, strict=False))

@@ -1,0 +1,119 @@
+"""Accuracy on the fixed split: `python benchmarks/split.py [--split test] [-o results.json]`.
+
+Every clip of 2 s or more of the split, cut to 15 s, 60 Hz, six virtual sensors; clean and with the
+realistic noise. SOP and SIP differ in the acceleration term alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from common import machine, row, seed_of
+
+import sip
+from mocap import Motion, dataset, metrics, noskill, sensors, synthesis
+from sip.prior import shipped
+
+NAMES = ("sip_deg", "angular_deg", "position_cm", "root_deg", "jitter", "jitter_reference")
+METHODS = ("mean-pose", "nearest-pose", "sop", "sip", "sip+calibration", "sip from truth")
+
+
+def solved(method: str, recording: synthesis.Recording, truth: Motion, solver: str) -> Motion:
+    """The motion that a method makes of a recording."""
+    prior = shipped()
+    if method == "mean-pose":
+        return noskill.mean_pose(recording, prior.mean)
+    if method == "nearest-pose":
+        return noskill.nearest_pose(recording, prior.poses)
+    settings = sip.Settings(terms="sop" if method == "sop" else "sip", solver=solver)
+    if method == "sip+calibration":
+        settings = replace(settings, self_calibration=True)
+    if method == "sip from truth":
+        settings = replace(settings, start=truth)
+    return sip.solve(recording, settings=settings).motion
+
+
+def one(job: tuple[str, Motion, str, str, str]) -> dict[str, object]:
+    """Metrics of one clip, noise and method."""
+    name, motion, noise, method, solver = job
+    recording = synthesis.recording(
+        motion, sensors.SIX, synthesis.NOISES[noise], seed_of(name)
+    )
+    m = metrics.evaluate(solved(method, recording, motion, solver), motion)
+    return {"clip": name, "noise": noise, "method": method} | {k: getattr(m, k) for k in NAMES}
+
+
+def table(results: list[dict[str, object]], noise: str) -> str:
+    """Means over clips, and per subject."""
+    widths = (16, 8, *[12] * len(NAMES))
+    out = [row(("method", "clips", *NAMES), widths)]
+    rows = [r for r in results if r["noise"] == noise]
+    subjects = sorted({dataset.subject_of(str(r["clip"])) for r in rows})
+    for method in dict.fromkeys(str(r["method"]) for r in rows):
+        mine = [r for r in rows if r["method"] == method]
+        for label, part in [(method, mine)] + [
+            (f"  subject {s}", [r for r in mine if dataset.subject_of(str(r["clip"])) == s])
+            for s in subjects
+        ]:
+            means = [f"{np.mean([float(r[k]) for r in part]):.2f}" for k in NAMES]  # type: ignore[arg-type]
+            out.append(row((label, len(part), *means), widths))
+    return "\n".join(out)
+
+
+def starts(results: list[dict[str, object]], noise: str) -> str:
+    """How the default start fares against the start at the truth, clip by clip."""
+    by = {(r["method"], r["clip"]): float(r["sip_deg"]) for r in results if r["noise"] == noise}  # type: ignore[arg-type]
+    ratios = {
+        c: v / by["sip from truth", c]
+        for (m, c), v in by.items()
+        if m == "sip" and ("sip from truth", c) in by
+    }
+    if not ratios:
+        return ""
+    worse = {str(c): round(r, 2) for c, r in ratios.items() if r > 1.25}
+    return (
+        f"sip_deg from the default start over that from the truth: median "
+        f"{np.median(list(ratios.values())):.3f}, above 1.25 in {len(worse)} of {len(ratios)} "
+        f"clips: {worse}"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--split", default="test", choices=("validation", "test"))
+    parser.add_argument("--solver", default="banded", choices=("banded", "ipopt"))
+    parser.add_argument("--methods", default=",".join(METHODS))
+    parser.add_argument("--noise", default="realistic,none")
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("-o", "--output", type=Path)
+    args = parser.parse_args()
+    clips = list(dataset.clips(args.split, ("cmu",), 60.0, min_s=2.0, max_s=15.0))
+    jobs = [
+        (name, motion, noise, method, args.solver)
+        for noise in args.noise.split(",")
+        for method in args.methods.split(",")
+        for name, motion in clips
+    ]
+    results = []
+    with ProcessPoolExecutor(args.jobs) as pool:
+        for i, result in enumerate(pool.map(one, jobs)):
+            results.append(result)
+            print(f"\r{i + 1}/{len(jobs)} {result['clip']}   ", end="", file=sys.stderr)
+    print(file=sys.stderr)
+    print(machine())
+    for noise in args.noise.split(","):
+        print(f"\n{args.split} split, {len(clips)} clips, noise {noise}, solver {args.solver}")
+        print(table(results, noise))
+        print(starts(results, noise))
+    if args.output:
+        args.output.write_text(json.dumps(results, indent=1))
+
+
+if __name__ == "__main__":
+    main()
