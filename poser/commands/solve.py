@@ -39,7 +39,10 @@ def add_arguments(parser: ArgumentParser) -> None:
     body = parser.add_argument_group("the body (default: the neutral mean shape)")
     body.add_argument("--height", type=options.stature, metavar="M", help="stature in m")
     body.add_argument(
-        "--betas", type=options.numbers, metavar="B,B,...", help="SMPL shape, with --smpl"
+        "--betas",
+        type=options.numbers,
+        metavar="B,B,...",
+        help="SMPL shape, with --smpl; --betas=-1,2 where the first is negative",
     )
     body.add_argument("--smpl", type=Path, metavar="FILE", help="your SMPL body file")
     parser.add_argument(
