@@ -38,6 +38,9 @@ test: lint types check
 
 bench: $(STAMP)
 	$(BIN)/python benchmarks/speed.py
+	$(BIN)/python benchmarks/speed.py --length
+	$(BIN)/python benchmarks/speed.py --sensors
+	$(BIN)/python benchmarks/speed.py --memory
 
 bench-split: $(STAMP)
 	$(BIN)/python benchmarks/split.py

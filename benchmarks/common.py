@@ -42,7 +42,9 @@ def machine() -> str:
     except (OSError, StopIteration):
         pass  # not Linux: the platform's word has to do
     product = matrix_product_s()
-    return f"{model}, {os.cpu_count()} cores; 1500 x 1500 float64 product, one thread: {product:.3f} s"
+    return (
+        f"{model}, {os.cpu_count()} cores; 1500 x 1500 float64 product, one thread: {product:.3f} s"
+    )
 
 
 def seed_of(name: str) -> int:

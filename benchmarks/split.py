@@ -42,9 +42,7 @@ def solved(method: str, recording: synthesis.Recording, truth: Motion, solver: s
 def one(job: tuple[str, Motion, str, str, str]) -> dict[str, object]:
     """Metrics of one clip, noise and method."""
     name, motion, noise, method, solver = job
-    recording = synthesis.recording(
-        motion, sensors.SIX, synthesis.NOISES[noise], seed_of(name)
-    )
+    recording = synthesis.recording(motion, sensors.SIX, synthesis.NOISES[noise], seed_of(name))
     m = metrics.evaluate(solved(method, recording, motion, solver), motion)
     return {"clip": name, "noise": noise, "method": method} | {k: getattr(m, k) for k in NAMES}
 

@@ -52,11 +52,16 @@ def main() -> None:
     w /= w.sum()
     mean = w @ x
     covariance = (x - mean).T @ ((x - mean) * w[:, None])
-    # An angle that never moves keeps the constant that the rig has there (a collar's rest direction).
+    # An angle that never moves has the constant of the rig that the data came on (its collars hang 34
+    # degrees below ours), which is no property of people: the mean lies half-way to our rest pose, and
+    # either end is one sigma away.
     still = np.sqrt(np.diag(covariance)) < STILL_RAD
+    mean[still] /= 2
     covariance[still] = 0
     covariance[:, still] = 0
+    covariance[still, still] = mean[still] ** 2
     lower, upper = (np.quantile(x, q, axis=0) for q in (0.0005, 0.9995))
+    lower[still], upper[still] = np.minimum(lower, 0)[still], np.maximum(upper, 0)[still]
     roughness = np.sqrt(np.median(rough, axis=0))
     scale = roughness[~still].mean()
     # What never moves here may move a little on others.

@@ -1,0 +1,73 @@
+"""The real recording: `make bench-real`.
+
+A person with 16 IMUs, 100 s at 100 Hz (qmt full-body example). Calibrated from the N-pose at 44 s, by the
+file's orientations and from gyr and acc alone (vqf). The reference of each window is SIP on all 16 sensors,
+as in the DIP paper, section 4.5; left_out_deg has no solver in between: the angle between the estimated bones
+of the ten unseen sensors and what those sensors measured.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+
+import numpy as np
+from common import data_folder, machine, row
+
+import sip
+from mocap import Recording, formats, metrics, noskill, sensors
+from mocap import orientation as ori
+from mocap.calibration import calibrate
+from sip.prior import shipped
+
+WINDOWS = ((46, 56), (90, 100), (110, 120))
+NAMES = ("left_out_deg", "sip_deg", "angular_deg", "position_cm", "jitter", "jitter_reference")
+
+
+def window(recording: Recording, start_s: float, stop_s: float) -> Recording:
+    """The part between two times of the file's clock."""
+    rate, t0 = recording.rate_hz, recording.start_s
+    return recording.slice(round((start_s - t0) * rate), round((stop_s - t0) * rate))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--orientation", default="file,vqf")
+    parser.add_argument("--solver", default="ipopt", choices=("banded", "ipopt"))
+    args = parser.parse_args()
+    settings = sip.Settings(solver=args.solver)
+    raw = formats.read(data_folder() / "qmt-fullbody" / "full_body_example_data.mat").content
+    print(machine())
+    widths = (14, 10, *[12] * len(NAMES))
+    for way in args.orientation.split(","):
+        recording, calibration = calibrate(raw, pose="n", at=44.0, orientation=way)
+        print(f"\norientation from {way}; {calibration.method}")
+        for start, stop in WINDOWS:
+            piece = window(recording, start, stop)
+            full = sip.solve(piece, settings=settings)
+            bones = full.motion.R_world_joint[:, piece.joint]
+            apart = np.rad2deg(ori.angle_between(bones, piece.R_world_bone)[piece.ori_valid])
+            print(
+                f"\n{start}-{stop} s: 16 sensors, {len(piece)} frames, {full.seconds:.0f} s, median "
+                f"angle of solved to measured bones {np.median(apart):.2f} deg; {full.status}"
+            )
+            print(row(("six sensors", "seconds", *NAMES), widths))
+            six = piece.select(sensors.SIX)
+            prior = shipped()
+            solved = {
+                "mean-pose": (noskill.mean_pose(six, prior.mean), 0.0),
+                "nearest-pose": (noskill.nearest_pose(six, prior.poses), 0.0),
+            }
+            for terms in ("sop", "sip"):
+                s = sip.solve(six, settings=replace(settings, terms=terms))
+                solved[terms] = (s.motion, s.seconds)
+            own = sip.solve(six, settings=replace(settings, self_calibration=True))
+            solved["sip+calibr."] = (own.motion, own.seconds)
+            for name, (motion, seconds) in solved.items():
+                m = metrics.evaluate(motion, full.motion, recording=piece, seen=sensors.SIX)
+                figures = [f"{getattr(m, k):.2f}" for k in NAMES]
+                print(row((name, f"{seconds:.1f}", *figures), widths), flush=True)
+
+
+if __name__ == "__main__":
+    main()
