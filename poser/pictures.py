@@ -16,6 +16,7 @@ from mocap.metrics import Metrics
 from mocap.motion import Motion
 from mocap.orientation import Array
 from mocap.skeleton import JOINTS, PARENTS
+from mocap.solution import Solution
 from poser.results import NAMES, NO_SKILL
 
 LEFT, RIGHT, MIDDLE = "#1f77b4", "#d95f02", "#444444"
@@ -144,4 +145,34 @@ def joints(metrics: Mapping[str, Metrics]) -> Figure:
     axis.set_axisbelow(True)
     axis.legend(fontsize=8, ncols=4, frameon=False)
     figure.subplots_adjust(0.065, 0.27, 0.99, 0.97)
+    return figure
+
+
+def residuals(solution: Solution, sensors: Sequence[str]) -> Figure:
+    """Norm of each sensor's orientation and acceleration residual over time, in sigmas, and the terms.
+
+    A sensor that stays above the others is mounted, named or timed wrongly; all of them high together
+    mean that the body or the sigmas do not fit.
+    """
+    names = [n for n in ("orientation", "acceleration") if n in solution.residuals]
+    figure = Figure(figsize=(10, 2.3 * len(names) + 2.2))
+    axes = figure.subplots(len(names) + 1, 1)
+    rate = solution.motion.rate_hz
+    for axis, name in zip(axes, names, strict=False):
+        r = np.linalg.norm(solution.residuals[name], axis=-1)
+        # Accelerations have no value at the two end frames.
+        t = (np.arange(len(r)) + (len(solution.motion) - len(r)) / 2) / rate
+        for s, sensor in enumerate(sensors):
+            axis.plot(t, np.where(r[:, s] > 0, r[:, s], np.nan), lw=1.0, label=sensor)
+        axis.set_ylabel(f"{name}, sigmas")
+        axis.set_xlabel("time, s")
+        axis.set_ylim(bottom=0)
+        axis.margins(x=0)
+        axis.grid(alpha=0.3)
+    axes[0].legend(fontsize=7, ncols=max(1, min(6, len(sensors))), frameon=False)
+    terms = list(solution.cost)
+    axes[-1].bar(range(len(terms)), [solution.cost[n] for n in terms], color="#1b7837")
+    axes[-1].set_xticks(range(len(terms)), terms, fontsize=8)
+    axes[-1].set_ylabel("cost, sigma$^2$")
+    figure.tight_layout()
     return figure

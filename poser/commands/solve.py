@@ -54,6 +54,9 @@ def add_arguments(parser: ArgumentParser) -> None:
         "--uncertainty", action="store_true", help="store std_rad (T,24,3) with the motion"
     )
     parser.add_argument(
+        "--plot", type=Path, metavar="PNG", help="residuals of each sensor over time, as a picture"
+    )
+    parser.add_argument(
         "--from", dest="begin", type=options.number, metavar="S", help="begin at this time in s"
     )
     parser.add_argument(
@@ -74,6 +77,8 @@ def run(args: Namespace) -> int:
         )
     start = None if args.start == "prior" else Path(args.start)
     files.check_output(args.output, [args.recording, *([start] if start else [])], (".npz", ".bvh"))
+    if args.plot:
+        files.check_output(args.plot, [args.recording, args.output], (".png",))
     if args.uncertainty and args.output.suffix.lower() == ".bvh":
         raise UsageError("argument --uncertainty: a .bvh file cannot hold it, an .npz file can")
     whole = files.recording(args.recording)
@@ -86,6 +91,10 @@ def run(args: Namespace) -> int:
         None if solution.std_rad is None or not args.uncertainty else {"std_rad": solution.std_rad}
     )
     files.write(args.output, solution.motion, extra)
+    if args.plot:
+        from poser import pictures
+
+        pictures.save(pictures.residuals(solution, recording.sensors), args.plot)
     report(args, recording, solution)
     return DONE
 

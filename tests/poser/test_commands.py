@@ -205,8 +205,9 @@ def test_solve_a_window_with_some_sensors_from_a_motion(
     said = answer(
         "solve", folder / "rec" / "walk.npz", "-o", tmp_path / "w.bvh", "--solver", "banded",
         "--sensors", "pelvis,head,left_shank", "--from", "1", "--to", "2", "--self-calibrate",
-        "--start", folder / "sip.npz", "--height", "1.75",
+        "--start", folder / "sip.npz", "--height", "1.75", "--plot", tmp_path / "residuals.png",
     )  # fmt: skip
+    assert (tmp_path / "residuals.png").read_bytes()[:4] == b"\x89PNG"
     assert said["frames"] == 60
     assert said["used_sensors"] == ["pelvis", "head", "left_shank"]
     assert list(said["sensors"]) == said["used_sensors"]
