@@ -195,10 +195,8 @@ def arm_swing(raw: RawRecording, pose: Pose, legs: list[Cue]) -> list[Cue]:
             continue
         h = _rate(raw, pose, name) * (1.0 if name.startswith("right") else -1.0)
         z, weight = (h * r)[walking], np.abs(h * r)[walking]
-        coherence = abs(z.sum()) / np.sqrt(
-            (np.abs(h[walking]) ** 2).sum() * (r[walking] ** 2).sum()
-        )
-        if coherence < 0.5:
+        power = (np.abs(h[walking]) ** 2).sum() * (r[walking] ** 2).sum()
+        if power == 0 or abs(z.sum()) < 0.5 * np.sqrt(power):
             continue
         sigma = np.hypot(_jackknife(z, weight), np.radians(SWING[kind(name)]))
         phi = float(wrap(np.angle(z.sum()) - np.pi / 2))

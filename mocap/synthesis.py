@@ -13,6 +13,7 @@ import numpy as np
 
 from mocap import orientation as ori
 from mocap import sensors as places
+from mocap.errors import ShapeError
 from mocap.motion import Motion
 from mocap.orientation import Array
 from mocap.recording import RawRecording, Recording
@@ -185,6 +186,8 @@ def raw_recording(
     rng = np.random.default_rng(rng)
     joint, placement = places.joints_and_seats(sensors)
     T, S = len(motion), len(sensors)
+    if T < 3:
+        raise ShapeError(f"raw sensors need a motion of 3 frames or more, got {T}")
     d = draw(noise, rng, T, S, motion.rate_hz, motion.skeleton)
     mounting = ori.from_quat(rng.normal(size=(S, 4)))
     R, acc_world = _measure(motion, joint, placement, d, mounting)
