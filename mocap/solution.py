@@ -16,10 +16,12 @@ class Solution:
     cost: half the robust sum of squares per term, in units of sigma^2. residuals: per term the array of
     whitened residuals (in sigmas; layout in the term's docstring). sigmas: per term the root mean square
     of its whitened residual, 1 where the model fits as its sigma says. iterations and seconds count the
-    solving alone (not reading files). status: how it ended, in words; converged says the same for
+    solving alone (not reading files). Where the recording was solved in windows, every frame counts once, in
+    the window that keeps it. status: how it ended, in words; converged says the same for
     programs. std_rad: (T,24,3) posterior standard deviation of the joint angles in rad. gradient_norm:
-    largest |gradient| entry at the end. sensors: self-calibrated mounting, heading and bias with their
-    standard deviations, per sensor name. report: further figures (seam error, both costs of two starts).
+    largest |gradient| entry at the end, each over the root of its own entry in the Gauss-Newton matrix
+    (sigmas). sensors: self-calibrated mounting, heading and bias with their standard deviations, per
+    sensor name. report: further figures: windows, seam_deg between them, samples_beyond_150_deg per sensor.
     """
 
     motion: Motion

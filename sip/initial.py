@@ -37,11 +37,19 @@ def root_guess(recording: Recording, skeleton: Skeleton, prior: Prior) -> Array:
     return ori.interpolate(frames[has], ori.project(summed[has]), frames)
 
 
-def from_prior(recording: Recording, skeleton: Skeleton, prior: Conditioned) -> tuple[Array, Array]:
-    """x (T,n) and R_ref (T,3,3): the prior's mean pose in every frame, under `root_guess`."""
-    x = np.zeros((len(recording), 6 + len(prior.active)))
+def from_prior(
+    recording: Recording, skeleton: Skeleton, prior: Conditioned, start: int, stop: int
+) -> tuple[Array, Array]:
+    """x (T,n) and R_ref (T,3,3) of frames start to stop-1: the prior's mean pose under `root_guess`.
+
+    Frames of a window without any orientation lie between those before and after it.
+    """
+    x = np.zeros((stop - start, 6 + len(prior.active)))
     x[:, BODY] = prior.mean
-    return x, root_guess(recording, skeleton, prior.prior)
+    piece = recording.slice(start, stop)
+    if piece.ori_valid.any():
+        return x, root_guess(piece, skeleton, prior.prior)
+    return x, root_guess(recording, skeleton, prior.prior)[start:stop]
 
 
 def from_motion(motion: Motion, prior: Conditioned) -> tuple[Array, Array]:
@@ -79,7 +87,8 @@ def coarsened(recording: Recording, factor: int) -> Recording:
     return Recording(
         recording.rate_hz / k,
         recording.sensors,
-        recording.R_world_bone[::k],
+        # An orientation that may not be used must not come back with the acceleration's validity.
+        np.where(recording.ori_valid[::k, :, None, None], recording.R_world_bone[::k], np.nan),
         mean,
         valid=recording.ori_valid[::k] | enough,
         joint=recording.joint,

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.resources import as_file, files
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -48,11 +49,14 @@ class Prior:
     def load(cls, path: Path) -> Prior:
         """Read a prior made by `scripts/make_prior.py`; raises FormatError."""
         try:
-            with np.load(path, allow_pickle=False) as f:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as f:
                 parts = {k: np.asarray(f[k], float) for k in cls.__dataclass_fields__}
-        except (OSError, ValueError, KeyError) as e:
+        except (OSError, ValueError, KeyError, EOFError, BadZipFile) as e:
             raise FormatError(path, f"not a prior file ({e})") from e
-        shapes = {"mean": (69,), "covariance": (69, 69), "lower": (69,), "upper": (69,)}
+        shapes: dict[str, tuple[int, ...]] = {
+            "covariance": (69, 69),
+            "poses": (*parts["poses"].shape[:1], 69),
+        } | dict.fromkeys(("mean", "lower", "upper", "roughness"), (69,))
         for name, shape in shapes.items():
             if parts[name].shape != shape or not np.isfinite(parts[name]).all():
                 raise FormatError(path, f"must be finite with shape {shape}", name)

@@ -159,16 +159,9 @@ class Problem:
         out = self.kinematics.evaluate(x, R_ref, self.R_meas, u, jacobian)
         return Point(x, R_ref, u, *out)
 
-    def costs(self, point: Point) -> dict[str, float]:
-        """Cost per term; terms of one name add up."""
-        out: dict[str, float] = {}
-        for term in self.terms:
-            out[term.name] = out.get(term.name, 0.0) + term.cost(point)
-        return out
-
     def cost(self, point: Point) -> float:
         """The total."""
-        return sum(t.cost(point) for t in self.terms)
+        return sum(t.loss(t.residual(point)) for t in self.terms)
 
     def pullback(self, point: Point, residuals: list[Array]) -> tuple[Array, Array]:
         """J^T W v for v per term: (T,n) (zero for fixed frames) and (g,)."""
@@ -239,7 +232,9 @@ def build(
         acc = np.nan_to_num(recording.acc_world)
         terms.append(
             Acceleration(
-                s.sigma_acceleration, s.robust_delta, rate, acc, R_meas,
+                s.sigma_acceleration, s.robust_delta, rate, acc,
+                # A bias lies in the sensor's frame: without an orientation nothing is known of it.
+                np.where(recording.ori_valid[..., None, None], R_meas, 0.0),
                 recording.acc_valid, border,
             )
         )  # fmt: skip

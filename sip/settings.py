@@ -24,8 +24,12 @@ class Settings:
     order smooth_order (2: rad/s^2 and m/s^2; 3: per s^3; 0: none). robust_delta: sigmas at which the
     acceleration's cost turns from quadratic to linear.
     self_calibration: mounting, heading and acceleration bias of each sensor are unknowns with the sigmas
-    below. prior_weight_calibrating then replaces prior_weight: frames of one clip share their deviation
-    from the mean pose, and a prior that counts them as independent would explain it by mounting.
+    below (per window, in a long recording). prior_weight_calibrating then replaces prior_weight: frames of
+    one clip share their deviation from the mean pose, and a prior that counts them as independent would
+    explain it by mounting.
+    max_iterations: of the banded solver, IPOPT has its own. Recordings longer than `window` frames are
+    solved in windows that overlap by `overlap` frames at up to 60 Hz, and by the same time above that, as
+    far as the window allows.
     """
 
     terms: Literal["sop", "sip"] = "sip"
@@ -63,3 +67,8 @@ class Settings:
         for name in ("sigma_orientation", "sigma_acceleration", "sigma_gauge", "robust_delta"):
             if not getattr(self, name) > 0:
                 raise SolveError(f"{name} must be positive, got {getattr(self, name)!r}")
+        if self.overlap < 0 or self.window < max(8, 2 * self.overlap):
+            raise SolveError(
+                f"window must be at least 8 frames and twice the overlap, got {self.window} and "
+                f"{self.overlap}"
+            )

@@ -20,14 +20,17 @@ from mocap.skeleton import Skeleton
 from mocap.solution import Solution
 from sip import banded, initial, ipopt
 from sip import kinematics as kin
-from sip.band import Factor
+from sip.band import Band, Factor, NotPositiveDefinite
 from sip.banded import Result
 from sip.kinematics import BODY, ROOT_P, ROOT_W
 from sip.prior import Conditioned
 from sip.problem import CONSTANTS, Problem, SensorKinematics, build, reference_root
 from sip.settings import Settings
+from sip.terms.calibration import SensorConstants
 
 Progress = Callable[[float, str], None]
+FAR_RAD = np.deg2rad(150.0)
+PAST = 3  # frames that a window is given by the one before it: as far as any term reaches
 
 
 @dataclass(frozen=True)
@@ -40,11 +43,12 @@ class Window:
 
 
 def windows(frames: int, size: int, overlap: int) -> list[Window]:
-    """Windows of about equal size, at most `size` frames, each reaching `overlap` frames into the next."""
+    """Windows of equal size, at most `size` frames, each reaching `overlap` frames into the next."""
     if frames <= size:
         return [Window(0, frames, frames)]
     count = int(np.ceil((frames - overlap) / (size - overlap)))
-    cuts = np.linspace(0, frames, count + 1).round().astype(int)
+    cuts = np.linspace(0, frames - overlap, count + 1).round().astype(int)
+    cuts[-1] = frames
     return [Window(int(a), int(min(b + overlap, frames)), int(b)) for a, b in pairwise(cuts)]
 
 
@@ -68,7 +72,9 @@ def solve(
         )
     began = time.perf_counter()
     kinematics = SensorKinematics(skeleton, recording.joint, recording.placement)
-    plan = windows(len(recording), settings.window, settings.overlap)
+    # The overlap is a time: what happens there must have been seen by both windows.
+    overlap = round(settings.overlap * max(1.0, recording.rate_hz / 60))
+    plan = windows(len(recording), settings.window, min(overlap, settings.window // 2))
     parts: list[_Part] = []
     # Blocks of 75 are too small for BLAS threads: waiting for each other they take several times longer.
     with threadpool_limits(1, "blas"):
@@ -119,14 +125,13 @@ def _solve_window(
     before: _Part | None,
     tell: Progress,
 ) -> _Part:
-    piece = recording.slice(window.start, window.stop)
     cold = settings.solver == "ipopt-cold"
     u0 = np.zeros((kinematics.S, CONSTANTS)) if before is None else before.u
-    x, R_ref, u, iterations = _start(piece, skeleton, settings, kinematics, window, u0, tell)
+    x, R_ref, u, iterations = _start(recording, skeleton, settings, kinematics, window, u0, tell)
     # The last frames that the window before keeps are given: differences reach across the seam.
-    past = 0 if before is None else 3
+    past = 0 if before is None else PAST
+    piece = recording.slice(window.start - past, window.stop)
     if before is not None:
-        piece = recording.slice(window.start - past, window.stop)
         k = before.window.keep - before.window.start
         x[:, ROOT_P] += before.x[k, ROOT_P] - x[0, ROOT_P]
         x = np.vstack([before.x[k - past : k], x])
@@ -160,7 +165,7 @@ def _teller(tell: Progress, start: float, stop: float, name: str) -> banded.Prog
 
 
 def _start(
-    piece: Recording,
+    recording: Recording,
     skeleton: Skeleton,
     settings: Settings,
     kinematics: SensorKinematics,
@@ -170,10 +175,11 @@ def _start(
 ) -> tuple[Array, Array, Array, int]:
     """x, R_ref, u where the solve of a window starts, and the iterations that it took."""
     prior = settings.prior.given(kinematics.active)
+    piece = recording.slice(window.start, window.stop)
     if isinstance(settings.start, Motion):
         x, R_ref = initial.from_motion(settings.start.slice(window.start, window.stop), prior)
         return x, R_ref, u, 0
-    x, R_ref = initial.from_prior(piece, skeleton, prior)
+    x, R_ref = initial.from_prior(recording, skeleton, prior, window.start, window.stop)
     if settings.solver == "ipopt-cold":
         if settings.terms == "sop":
             return x, R_ref, u, 0
@@ -205,12 +211,19 @@ def _part(
 ) -> _Part:
     p, f = result.point, problem.fixed
     residuals: dict[str, list[Array]] = {}
+    costs: dict[str, float] = {}
+    stop = f + window.keep - window.start
     for term in problem.terms:
-        residuals.setdefault(term.name, []).append(term.residual(p))
+        r = term.residual(p)
+        if term.name != SensorConstants.name:
+            # Each frame counts once, in the window that keeps it: residual i reaches frame i + reach.
+            r = r[max(f - term.reach, 0) : max(stop - term.reach, 0)]
+        residuals.setdefault(term.name, []).append(r)
+        costs[term.name] = costs.get(term.name, 0.0) + term.loss(r)
     flat = {k: v[0] if len(v) == 1 else np.concatenate(v, axis=1) for k, v in residuals.items()}
     std = u_std = None
     if settings.uncertainty or settings.self_calibration:
-        factor = Factor(problem.hessian(p), 1e-12)
+        factor = _posterior(problem.hessian(p))
         if settings.self_calibration:
             # The corner of the inverse is the inverse of the Schur complement.
             u_std = np.sqrt(np.diag(factor.corner_inverse())).reshape(-1, CONSTANTS)
@@ -220,20 +233,42 @@ def _part(
             body = problem.prior.complete_variance(blocks[:, BODY, BODY])
             std = np.sqrt(np.hstack([root, body])).reshape(-1, 24, 3)
     return _Part(
-        window, p.x[f:], p.R_ref[f:], p.u, u_std, problem.costs(p), flat, iterations,
+        window, p.x[f:], p.R_ref[f:], p.u, u_std, costs, flat, iterations,
         result.status, result.converged, result.gradient_norm, std,
     )  # fmt: skip
 
 
+def _posterior(band: Band) -> Factor:
+    """Factor of the Gauss-Newton matrix, with as little damping as lets rounding pass.
+
+    At 1000 Hz accelerations know some directions 1e8 times better than the gauge knows the place.
+    """
+    largest = float(band.diagonal.max())
+    for damping in (1e-12, *(largest * 10.0**e for e in range(-16, -9))):
+        try:
+            return Factor(band, damping, damping)
+        except NotPositiveDefinite:
+            continue
+    raise SolveError("no standard deviations: the Gauss-Newton matrix is not positive definite")
+
+
 def _seam(a: _Part, b: _Part) -> float:
-    """Largest over frames of the mean angle over joints, in rad, by which two windows' overlap differs."""
+    """Largest over frames of the mean angle over joints, in rad, by which two windows' overlap differs.
+
+    Local angles of the root and the active joints, in the first half of the overlap: what lies there
+    was solved twice with something behind it.
+    """
     k = a.window.keep - a.window.start
-    n = len(a.x) - k
+    n = (len(a.x) - k + 1) // 2
     if n <= 0:
         return 0.0
-    theta = [p.x[i : i + n, BODY].reshape(n, -1, 3) for p, i in ((a, k), (b, 0))]
-    body = ori.angle_between(ori.exp(theta[0]), ori.exp(theta[1]))
-    return float(body[: max(1, n // 2)].mean(axis=1).max())
+    R = []
+    for p, i in ((a, k), (b, 0)):
+        x = p.x[i : i + n]
+        root = p.R_ref[i : i + n] @ ori.exp(x[:, ROOT_W])
+        body = ori.exp(x[:, BODY].reshape(n, (x.shape[1] - 6) // 3, 3))
+        R.append(np.concatenate([root[:, None], body], axis=1))
+    return float(ori.angle_between(*R).mean(axis=1).max())
 
 
 def _assemble(
@@ -265,6 +300,17 @@ def _assemble(
         for name in parts[0].residuals
     }
     worst = max(parts, key=lambda p: (not p.converged, p.gradient_norm))
+    # Past this angle the rotation vector's own singularity is near: the start was bad, or a sensor is.
+    apart = np.linalg.norm(residuals["orientation"], axis=-1) * settings.sigma_orientation
+    far = (apart > FAR_RAD).sum(axis=0)
+    report["samples_beyond_150_deg"] = {
+        name: int(n) for name, n in zip(recording.sensors, far, strict=True) if n
+    }
+    status = worst.status
+    if far.any():
+        status += f"; {far.sum()} samples end over 150 deg from the measurement: " + ", ".join(
+            report["samples_beyond_150_deg"]
+        )
     return Solution(
         motion,
         cost,
@@ -272,7 +318,7 @@ def _assemble(
         _sigmas(recording, residuals),
         sum(p.iterations for p in parts),
         seconds,
-        worst.status,
+        status,
         all(p.converged for p in parts),
         joined(lambda p: p.std) if parts[0].std is not None else None,  # type: ignore[arg-type, return-value]
         worst.gradient_norm,
@@ -293,16 +339,21 @@ def _sigmas(recording: Recording, residuals: dict[str, Array]) -> dict[str, floa
 
 
 def _constants(recording: Recording, parts: list[_Part]) -> dict[str, dict[str, Any]]:
-    """Self-calibrated constants per sensor: means over windows by frames, in rad and m/s^2."""
+    """Self-calibrated constants per sensor, in rad and m/s^2.
+
+    Over several windows: means by frames, with the standard deviations of a window (no smaller, since
+    what misleads one may mislead all).
+    """
     weight = np.array([len(p.x) for p in parts], float)
     u = np.average([p.u for p in parts], axis=0, weights=weight)
-    out = {}
-    for s, name in enumerate(recording.sensors):
-        std = parts[-1].u_std[s] if parts[-1].u_std is not None else np.full(CONSTANTS, np.nan)
-        out[name] = {
+    variance = [p.u_std**2 for p in parts if p.u_std is not None]
+    std = np.sqrt(np.average(variance, axis=0, weights=weight))
+    return {
+        name: {
             "mounting_rad": u[s, :3].tolist(),
             "heading_rad": float(u[s, 3]),
             "bias_mps2": u[s, 4:].tolist(),
-            "std": std.tolist(),
+            "std": std[s].tolist(),
         }
-    return out
+        for s, name in enumerate(recording.sensors)
+    }

@@ -53,8 +53,8 @@ class Acceleration:
         """sqrt(1 + |r|^2/delta^2) per sensor and frame."""
         return np.sqrt(1 + np.einsum("tsi,tsi->ts", r, r) / self.delta**2)
 
-    def cost(self, point: Point) -> float:
-        return self.delta**2 * float((self._robust(self.residual(point)) - 1).sum())
+    def loss(self, residual: Array) -> float:
+        return self.delta**2 * float((self._robust(residual) - 1).sum())
 
     def _jacobian(self, point: Point) -> tuple[Array, Array | None]:
         """d (heading-turned position)/dx (T,S,3,c) and d residual/du (T-2,S,3,4): heading, bias."""

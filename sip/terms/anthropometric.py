@@ -30,8 +30,8 @@ class PosePrior:
     def residual(self, point: Point) -> Array:
         return (point.x[:, BODY] - self.mean) @ self.L
 
-    def cost(self, point: Point) -> float:
-        return squared(self.residual(point))
+    def loss(self, residual: Array) -> float:
+        return squared(residual)
 
     def pullback(self, point: Point, v: Array, grad: Array, grad_u: Array) -> None:
         grad[:, BODY] += v @ self.L.T
@@ -55,8 +55,8 @@ class Limits:
         theta = point.x[:, BODY]
         return (theta - np.clip(theta, self.lower, self.upper)) / self.sigma
 
-    def cost(self, point: Point) -> float:
-        return squared(self.residual(point))
+    def loss(self, residual: Array) -> float:
+        return squared(residual)
 
     def pullback(self, point: Point, v: Array, grad: Array, grad_u: Array) -> None:
         grad[:, BODY] += np.where(self.residual(point) != 0, v, 0.0) / self.sigma

@@ -46,8 +46,8 @@ class Term(Protocol):
         """Whitened residuals, in sigmas."""
         ...
 
-    def cost(self, point: Point) -> float:
-        """Half the (robust) sum of squares."""
+    def loss(self, residual: Array) -> float:
+        """Half the (robust) sum of squares of whitened residuals, all of them or some frames'."""
         ...
 
     def pullback(self, point: Point, v: Array, grad: Array, grad_u: Array) -> None:

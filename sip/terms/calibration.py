@@ -23,8 +23,8 @@ class SensorConstants:
     def residual(self, point: Point) -> Array:
         return point.u / self.sigma
 
-    def cost(self, point: Point) -> float:
-        return squared(self.residual(point))
+    def loss(self, residual: Array) -> float:
+        return squared(residual)
 
     def pullback(self, point: Point, v: Array, grad: Array, grad_u: Array) -> None:
         grad_u += v / self.sigma

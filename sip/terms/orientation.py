@@ -26,8 +26,8 @@ class Orientation:
     def residual(self, point: Point) -> Array:
         return point.e * self.weight
 
-    def cost(self, point: Point) -> float:
-        return squared(self.residual(point))
+    def loss(self, residual: Array) -> float:
+        return squared(residual)
 
     def pullback(self, point: Point, v: Array, grad: Array, grad_u: Array) -> None:
         T = len(grad)

@@ -37,8 +37,8 @@ class LinearSmoothness:
     def residual(self, point: Point) -> Array:
         return _apply(self.stencil, point.x[:, self.columns]) * self.weight
 
-    def cost(self, point: Point) -> float:
-        return squared(self.residual(point))
+    def loss(self, residual: Array) -> float:
+        return squared(residual)
 
     def pullback(self, point: Point, v: Array, grad: Array, grad_u: Array) -> None:
         v = v * self.weight
@@ -87,8 +87,8 @@ class RootSmoothness:
             return np.zeros((0, 3))
         return _apply(self.stencil, self._velocity(point)[0]) * self.weight
 
-    def cost(self, point: Point) -> float:
-        return squared(self.residual(point))
+    def loss(self, residual: Array) -> float:
+        return squared(residual)
 
     def _jacobians(self, point: Point) -> dict[int, Array]:
         _, A, B = self._velocity(point)
@@ -120,8 +120,8 @@ class Gauge:
     def residual(self, point: Point) -> Array:
         return point.x[:, ROOT_P] / self.sigma
 
-    def cost(self, point: Point) -> float:
-        return squared(self.residual(point))
+    def loss(self, residual: Array) -> float:
+        return squared(residual)
 
     def pullback(self, point: Point, v: Array, grad: Array, grad_u: Array) -> None:
         grad[:, ROOT_P] += v / self.sigma

@@ -136,7 +136,7 @@ def test_windows_cover_every_frame_once(frames: int) -> None:
     plan = windows(frames, 100, 20)
     kept = np.concatenate([np.arange(w.start, w.keep) for w in plan])
     assert np.array_equal(kept, np.arange(frames))
-    assert all(w.stop - w.start <= 100 + 20 for w in plan)
+    assert all(w.stop - w.start <= 100 for w in plan)
     assert plan[-1].stop == frames
 
 
@@ -157,8 +157,8 @@ def test_windows_agree_with_the_whole() -> None:
     assert step.max() < 1.3 * np.linalg.norm(np.diff(true, axis=0), axis=-1).max()
 
 
-def test_self_calibration_finds_heading_and_mounting() -> None:
-    """With every bone of the chain measured and sensors wrong by known constants, errors shrink."""
+def test_self_calibration_reports_its_constants() -> None:
+    """Sensors wrong by known constants fit better; how well these are found: benchmarks/."""
     motion = wavy(150, size=0.35, seed=2)
     noise = replace(synthesis.Noise.none(), mounting_deg=4.0, heading_deg=3.0, acc_bias=0.1)
     recording = synthesis.recording(motion, sensors.SIX, noise, 5)
