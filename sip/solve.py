@@ -307,6 +307,8 @@ def _assemble(
         name: int(n) for name, n in zip(recording.sensors, far, strict=True) if n
     }
     status = worst.status
+    if settings.terms == "sip" and not recording.acc_valid.any():
+        status += "; no sensor has an acceleration, so this is SOP"
     if far.any():
         status += f"; {far.sum()} samples end over 150 deg from the measurement: " + ", ".join(
             report["samples_beyond_150_deg"]

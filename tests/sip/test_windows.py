@@ -146,3 +146,14 @@ def test_a_file_that_is_no_prior(tmp_path: Path) -> None:
         path.write_bytes(content)
         with pytest.raises(FormatError, match="not a prior"):
             Prior.load(path)
+
+
+def test_sip_without_accelerations_says_that_it_is_sop(noisy: Recording) -> None:
+    blind = replace(noisy, acc_world=np.full_like(noisy.acc_world, np.nan))
+    sip, sop = (
+        solve(blind, settings=Settings(solver="banded", terms=t))  # type: ignore[arg-type]
+        for t in ("sip", "sop")
+    )
+    assert "no sensor has an acceleration" in sip.status
+    assert "no sensor has an acceleration" not in sop.status
+    assert sip.total_cost == pytest.approx(sop.total_cost, rel=1e-2)

@@ -1,1 +1,0 @@
-"""dev harness (replaced below)"""
