@@ -206,6 +206,11 @@ class Problem:
         return band
 
 
+def overcount(rate_hz: float, settings: Settings) -> float:
+    """How many frames count as one piece of evidence on the sensors' constants."""
+    return max(1.0, rate_hz * settings.correlation_s)
+
+
 def sanitised(recording: Recording) -> Array:
     """R_world_bone with the identity where it may not be used."""
     return np.where(recording.ori_valid[..., None, None], recording.R_world_bone, np.eye(3))
@@ -253,6 +258,7 @@ def build(
         ]
     if border:
         sigma = np.r_[[s.sigma_mounting] * 3, s.sigma_heading, [s.sigma_bias] * 3]
+        sigma = sigma / np.sqrt(overcount(rate, s))
         terms.append(SensorConstants(sigma))
     terms = [t for t in terms if t.reach < len(recording)]
     return Problem(skeleton, recording, s, k, terms, R_meas, prior, fixed)

@@ -30,6 +30,8 @@ class Settings:
     max_iterations: of the banded solver, IPOPT has its own. Recordings longer than `window` frames are
     solved in windows that overlap by `overlap` frames at up to 60 Hz, and by the same time above that, as
     far as the window allows.
+    correlation_s: neighbouring frames err alike, so rate * correlation_s of them count as one piece of
+    evidence on a constant (the constants' sigmas shrink by the root of that number).
     """
 
     terms: Literal["sop", "sip"] = "sip"
@@ -52,6 +54,7 @@ class Settings:
     sigma_mounting: float = 4 * DEG
     sigma_heading: float = 3 * DEG
     sigma_bias: float = 0.1
+    correlation_s: float = 0.15
     max_iterations: int = 60
     tolerance: float = 3e-4
     coarse_hz: float = 15.0

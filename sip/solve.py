@@ -24,7 +24,7 @@ from sip.band import Band, Factor, NotPositiveDefinite
 from sip.banded import Result
 from sip.kinematics import BODY, ROOT_P, ROOT_W
 from sip.prior import Conditioned
-from sip.problem import CONSTANTS, Problem, SensorKinematics, build, reference_root
+from sip.problem import CONSTANTS, Problem, SensorKinematics, build, overcount, reference_root
 from sip.settings import Settings
 from sip.terms.calibration import SensorConstants
 
@@ -226,7 +226,8 @@ def _part(
         factor = _posterior(problem.hessian(p))
         if settings.self_calibration:
             # The corner of the inverse is the inverse of the Schur complement.
-            u_std = np.sqrt(np.diag(factor.corner_inverse())).reshape(-1, CONSTANTS)
+            variance = np.diag(factor.corner_inverse()).reshape(-1, CONSTANTS)
+            u_std = np.sqrt(overcount(problem.recording.rate_hz, settings) * variance)
         if settings.uncertainty:
             blocks = factor.inverse_blocks()[f:]
             root = np.einsum("tii->ti", blocks[:, ROOT_W, ROOT_W])
