@@ -31,7 +31,8 @@ class Settings:
     solved in windows that overlap by `overlap` frames at up to 60 Hz, and by the same time above that, as
     far as the window allows.
     correlation_s: neighbouring frames err alike, so rate * correlation_s of them count as one piece of
-    evidence on a constant (the constants' sigmas shrink by the root of that number).
+    evidence on a constant (the constants' sigmas shrink by the root of that number). It is raised until
+    the constants' spread over sensors is no larger than their sigmas.
     """
 
     terms: Literal["sop", "sip"] = "sip"

@@ -29,6 +29,7 @@ from sip.settings import Settings
 from sip.terms.calibration import SensorConstants
 
 Progress = Callable[[float, str], None]
+_TEMPERINGS = 3
 FAR_RAD = np.deg2rad(150.0)
 PAST = 3  # frames that a window is given by the one before it: as far as any term reaches
 
@@ -145,6 +146,18 @@ def _solve_window(
     else:
         result = banded.minimise(problem, x, R_ref, u, progress=_teller(tell, 0.3, 0.7, "banded"))
         iterations += result.iterations
+        for _ in range(_TEMPERINGS if settings.self_calibration else 0):
+            excess = _excess(result.point.u, settings)
+            if excess <= 1:
+                break
+            # Constants as large as these are unlikely: they explain what the body or the prior gets wrong.
+            longer = settings.correlation_s * max(2.0, excess**2)
+            settings = replace(settings, correlation_s=longer)
+            problem = build(problem.recording, skeleton, settings, kinematics, fixed=problem.fixed)
+            result = banded.minimise(
+                problem, x, R_ref, u, progress=_teller(tell, 0.3, 0.7, "banded, tempered")
+            )
+            iterations += result.iterations
         if settings.solver == "ipopt":
             p = result.point
             result = ipopt.minimise(
@@ -152,6 +165,18 @@ def _solve_window(
             )
             iterations += result.iterations
     return _part(problem, settings, window, result, iterations)
+
+
+def _excess(u: Array, settings: Settings) -> float:
+    """Largest root mean square over sensors of mounting, heading and bias, in their sigmas.
+
+    A posterior mean varies no more than its prior: above 1 the data are trusted too much.
+    """
+    parts = ((u[:, :3], settings.sigma_mounting), (u[:, 3], settings.sigma_heading))
+    ratios = [
+        float(np.sqrt(np.mean(v**2))) / s for v, s in (*parts, (u[:, 4:], settings.sigma_bias))
+    ]
+    return max(ratios)
 
 
 def _teller(tell: Progress, start: float, stop: float, name: str) -> banded.Progress:
