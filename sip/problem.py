@@ -45,6 +45,7 @@ class SensorKinematics:
     def __init__(self, skeleton: Skeleton, joint: NDArray[np.int64], placement: Array):
         S = len(joint)
         self.S = S
+        self._maps: dict[tuple[bool, int], ca.Function] = {}
         chains = [skeleton.ancestors(int(j)) for j in joint]
         self.active = tuple(sorted({j for chain in chains for j in chain} - {0}))
         self.n = n = 6 + 3 * len(self.active)
@@ -76,6 +77,13 @@ class SensorKinematics:
         full = [values, ca.densify(e_x.T), ca.densify(p_x.T), ca.densify(e_u)]
         self.full = ca.Function("full", inputs, full, {"cse": True})
 
+    def _mapped(self, jacobian: bool, T: int) -> ca.Function:
+        """The function over T frames; building the map takes longer than one evaluation."""
+        key = (jacobian, T)
+        if key not in self._maps:
+            self._maps[key] = (self.full if jacobian else self.values).map(T)
+        return self._maps[key]
+
     def evaluate(
         self, x: Array, R_ref: Array, R_meas: Array, u: Array, jacobian: bool
     ) -> tuple[Array, ...]:
@@ -96,7 +104,7 @@ class SensorKinematics:
             shapes += [(T, S, 3, n), (T, S, 3, n), (T, S, 4, 3)]
         outputs: list[Any] = [np.empty(shape) for shape in shapes]
         buffer: Any
-        buffer, run = (self.full if jacobian else self.values).map(T).buffer()
+        buffer, run = self._mapped(jacobian, T).buffer()
         kept: list[Any] = [np.ascontiguousarray(a, float) for a in inputs]
         for i, array in enumerate(kept):
             buffer.set_arg(i, memoryview(array.reshape(-1)))

@@ -68,6 +68,8 @@ class RootSmoothness:
         M = ca.SX.sym("M", 3, 3)  # R_ref_t^T R_ref_{t+1}
         v = kin.log(kin.exp(w0).T @ M @ kin.exp(w1))
         outputs = [v, ca.densify(ca.jacobian(v, w0)), ca.densify(ca.jacobian(v, w1))]
+        self._mapped: ca.Function | None = None
+        self._frames = 0
         self.velocity = ca.Function("velocity", [w0, w1, M], outputs)
 
     def _velocity(self, point: Point) -> tuple[Array, Array, Array]:
@@ -75,7 +77,9 @@ class RootSmoothness:
         w = point.x[:, ROOT_W]
         M = np.swapaxes(point.R_ref[:-1], -1, -2) @ point.R_ref[1:]
         n = len(M)
-        v, A, B = self.velocity.map(n)(w[:-1].T, w[1:].T, M.transpose(1, 0, 2).reshape(3, 3 * n))
+        if self._mapped is None or self._frames != n:
+            self._mapped, self._frames = self.velocity.map(n), n
+        v, A, B = self._mapped(w[:-1].T, w[1:].T, M.transpose(1, 0, 2).reshape(3, 3 * n))
         return (
             v.full().T,
             A.full().reshape(3, n, 3).transpose(1, 0, 2),
