@@ -33,7 +33,7 @@ def window(recording: Recording, start_s: float, stop_s: float) -> Recording:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--orientation", default="file,vqf")
-    parser.add_argument("--solver", default="ipopt", choices=("banded", "ipopt"))
+    parser.add_argument("--solver", default="banded", choices=("banded", "ipopt"))
     args = parser.parse_args()
     settings = sip.Settings(solver=args.solver)
     raw = formats.read(data_folder() / "qmt-fullbody" / "full_body_example_data.mat").content

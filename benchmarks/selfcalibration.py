@@ -17,7 +17,7 @@ from common import machine, row, seed_of
 import sip
 from mocap import Motion, dataset, metrics, sensors, synthesis
 
-SECONDS = (2.0, 4.0, 8.0, 15.0)
+SECONDS = (2.0, 4.0, 15.0)
 QUANTITIES = ("mounting twist deg", "mounting swing deg", "heading deg", "bias m/s^2")
 # The long axis of each sensor's bone: rotation about it is twist, the rest swing.
 LONG = {"forearm": 0, "shank": 1, "head": 1, "pelvis": 1}
