@@ -1,0 +1,240 @@
+"""From packets as they arrive to rows on a regular clock: the jitter buffer.
+
+Row k describes the local time start + k / rate_hz. It is made once every device that is not silent has
+consecutive packets around it, or at the latest `delay_s` after its time; what comes later is too late.
+Between two packets that lie no more than `max_gap_s` apart the orientation is slerped, the acceleration
+linear; at an end the nearest packet within one period of the row stands for it; otherwise the device is
+invalid in that row. Times come in with the packets: nothing here reads a clock or a socket.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right, insort
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap import orientation as ori
+from mocap.motion import check_rate
+from mocap.orientation import Array
+from poser.live.clock import DeviceClock, PacketNumbers
+from poser.live.packets import Packet
+
+SILENT_S = 0.5  # a device unheard for so long is not waited for
+STALL_S = 2.0  # the loop itself stood still for longer: the rows of that time are left out
+MAX_BUFFER = 2048  # packets of one device; 2 s at 1000 Hz
+SAME_S = 1e-9
+REMEMBER_S = 0.5  # packets are kept for so long after their row, to know their doubles
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """All devices at one time: R_world_sensor (D,3,3), acc_world (D,3) m/s^2, valid (D,).
+
+    time_s: since the first row. Where `valid` is False both are NaN.
+    """
+
+    time_s: float
+    R_world_sensor: Array
+    acc_world: Array
+    valid: NDArray[np.bool_]
+
+
+@dataclass
+class Counts:
+    """What happened to one device's packets.
+
+    received: all that were well formed. duplicates, clock (device time doubtful): not used. late: after
+    the row they were for. reordered: not in order, but in time. lost: missing packet numbers. jumps:
+    changes of the device's clock. silent_rows: rows in which the device is invalid.
+    """
+
+    received: int = 0
+    duplicates: int = 0
+    reordered: int = 0
+    late: int = 0
+    clock: int = 0
+    jumps: int = 0
+    lost: int = 0
+    silent_rows: int = 0
+
+    def to_dict(self) -> dict[str, int]:
+        return asdict(self)
+
+
+@dataclass(frozen=True, eq=False)
+class _Kept:
+    """A packet in the buffer, ordered by device time. number: without wraparound, or None."""
+
+    time_s: float
+    R: Array
+    acc: Array
+    number: int | None
+
+
+def _time(kept: _Kept) -> float:
+    return kept.time_s
+
+
+class _Stream:
+    """The recent packets of one device."""
+
+    def __init__(self) -> None:
+        self.clock = DeviceClock()
+        self.numbers = PacketNumbers()
+        self.kept: list[_Kept] = []
+        self.heard_s = -np.inf
+        self.counts = Counts()
+
+    def push(self, packet: Packet, arrival_s: float, last_row_s: float) -> None:
+        assert packet.R_world_sensor is not None and packet.acc_world is not None
+        counts = self.counts
+        counts.received += 1
+        word = self.clock.hear(packet.time_s, arrival_s)
+        if word == "doubtful":
+            counts.clock += 1
+            return
+        if word == "jumped":
+            counts.jumps += 1
+            self.kept.clear()
+        self.heard_s = arrival_s
+        number, order = None, "next"
+        if packet.seq is not None:
+            number, order = self.numbers.hear(packet.seq)
+            counts.lost = self.numbers.lost
+        i = bisect_right(self.kept, packet.time_s, key=_time)
+        if order == "duplicate" or (i and packet.time_s - self.kept[i - 1].time_s < SAME_S):
+            counts.duplicates += 1
+            return
+        if packet.time_s + self.clock.offset < last_row_s:
+            counts.late += 1
+        elif order == "reordered" or (packet.seq is None and i < len(self.kept)):
+            counts.reordered += 1
+        row = _Kept(packet.time_s, packet.R_world_sensor, packet.acc_world, number)
+        insort(self.kept, row, key=_time)
+        if len(self.kept) > MAX_BUFFER:
+            del self.kept[0]
+
+    def around(self, local_s: float) -> tuple[_Kept | None, _Kept | None, float]:
+        """The packets before (or at) and after a local time, and that time on the device's clock."""
+        if not self.kept:
+            return None, None, 0.0
+        t = local_s - self.clock.offset
+        i = bisect_right(self.kept, t + SAME_S, key=_time)
+        before = self.kept[i - 1] if i else None
+        return before, self.kept[i] if i < len(self.kept) else None, t
+
+    def complete(self, local_s: float) -> bool:
+        """Whether nothing that may still arrive can change the row at this time."""
+        before, after, t = self.around(local_s)
+        if before is None:
+            return False
+        if abs(before.time_s - t) < SAME_S:
+            return True
+        if after is None or before.number is None or after.number is None:
+            return False
+        return after.number == before.number + 1
+
+    def forget_before(self, local_s: float) -> None:
+        """Drop packets before this time, but for the last one, which the next row may need."""
+        if self.kept:
+            i = bisect_right(self.kept, local_s - self.clock.offset, key=_time)
+            del self.kept[: max(0, i - 1)]
+
+
+class Assembler:
+    """Rows of `devices` at `rate_hz`. push(packet, arrival) what comes, pull(now) what is ready.
+
+    delay_s: how long a row waits for packets. max_gap_s: how far packets may lie apart to be
+    interpolated. Both times are on the same local clock, any origin, never running backwards.
+    skipped: rows left out because the loop stood still for more than STALL_S.
+    """
+
+    def __init__(
+        self,
+        devices: tuple[str, ...],
+        rate_hz: float,
+        delay_s: float = 0.05,
+        max_gap_s: float = 0.1,
+    ):
+        self.devices = devices
+        self.rate_hz = check_rate(rate_hz, "Assembler")
+        self.delay_s, self.max_gap_s = delay_s, max_gap_s
+        self.skipped = 0
+        self.start_s: float | None = None
+        self._streams = {name: _Stream() for name in devices}
+        self._next = 0
+
+    def push(self, packet: Packet, arrival_s: float) -> None:
+        """Take a packet of one of `devices` that carries an orientation."""
+        stream = self._streams[packet.device]
+        stream.push(packet, arrival_s, self._time(self._next - 1))
+        if self.start_s is None and stream.kept:
+            self.start_s = packet.time_s + stream.clock.offset
+
+    def pull(self, now_s: float) -> list[Row]:
+        """The rows that are ready at `now_s`, in order."""
+        rows: list[Row] = []
+        if self.start_s is None:
+            return rows
+        behind = now_s - self.delay_s - self._time(self._next)
+        if behind > STALL_S:
+            skip = int(behind * self.rate_hz)
+            self._next += skip
+            self.skipped += skip
+        while self._ready(now_s):
+            rows.append(self._row())
+        return rows
+
+    @property
+    def counts(self) -> dict[str, Counts]:
+        """What happened to each device's packets so far."""
+        return {name: stream.counts for name, stream in self._streams.items()}
+
+    def silent(self, now_s: float) -> tuple[str, ...]:
+        """Devices unheard for SILENT_S."""
+        return tuple(n for n, s in self._streams.items() if now_s - s.heard_s > SILENT_S)
+
+    def _time(self, k: int) -> float:
+        return -np.inf if self.start_s is None or k < 0 else self.start_s + k / self.rate_hz
+
+    def _ready(self, now_s: float) -> bool:
+        t = self._time(self._next)
+        if now_s >= t + self.delay_s:
+            return True
+        heard = [s for s in self._streams.values() if now_s - s.heard_s <= SILENT_S]
+        # A device not heard at all yet may be about to start: the full delay is due to it.
+        return len(heard) == len(self._streams) and all(s.complete(t) for s in heard)
+
+    def _row(self) -> Row:
+        k, D = self._next, len(self.devices)
+        t = self._time(k)
+        R, acc = np.full((D, 3, 3), np.nan), np.full((D, 3), np.nan)
+        valid = np.zeros(D, bool)
+        for d, stream in enumerate(self._streams.values()):
+            found = self._at(stream, t)
+            if found is None:
+                stream.counts.silent_rows += 1
+            else:
+                R[d], acc[d] = found
+                valid[d] = True
+            stream.forget_before(t - REMEMBER_S)
+        self._next += 1
+        return Row(k / self.rate_hz, R, acc, valid)
+
+    def _at(self, stream: _Stream, local_s: float) -> tuple[Array, Array] | None:
+        before, after, t = stream.around(local_s)
+        if before is not None and abs(before.time_s - t) < SAME_S:
+            return before.R, before.acc
+        if before is not None and after is not None:
+            gap = after.time_s - before.time_s
+            if gap <= self.max_gap_s:
+                share = (t - before.time_s) / gap
+                R = before.R @ ori.exp(share * ori.log(before.R.T @ after.R))
+                return R, (1 - share) * before.acc + share * after.acc
+        near = [p for p in (before, after) if p is not None]
+        nearest = min(near, key=lambda p: abs(p.time_s - t), default=None)
+        if nearest is None or abs(nearest.time_s - t) > 1.0 / self.rate_hz:
+            return None
+        return nearest.R, nearest.acc
