@@ -1,0 +1,160 @@
+"""Where the root is: foot contacts, leg kinematics, the pelvis sensor's acceleration, and the ground.
+
+A foot that stands does not move, so the root moves as the leg under it says: v_root = -d/dt (p_foot -
+p_root). Which foot stands is not measured; the evidence is its height over the lower foot and its speed
+under the present estimate of the root's velocity. A Kalman filter per axis (position, velocity) takes the
+pelvis acceleration as input, each foot's velocity with a deviation that grows as the evidence shrinks, and
+the ground's height from the lower foot. In a jump both feet are fast or the body falls freely, and the
+filter runs on the accelerometer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mocap import orientation as ori
+from mocap.orientation import Array
+from mocap.skeleton import SOLE_BELOW_TOE, TABLE_STATURE, Skeleton
+
+LEGS = ((1, 2), (4, 5), (7, 8), (10, 11))  # left and right: hip, knee, ankle, toe
+
+
+@dataclass(frozen=True)
+class ContactNoise:
+    """1 sigma. acc: m/s^2, correlated over acc_s, of the pelvis acceleration (bias and heading in it);
+    blind_acc, blind_s: the same where it is not measured. foot_speed: m/s of a standing foot by the leg
+    kinematics. height: m over the lower foot, and speed: m/s, at which a foot is no longer believed to
+    stand. ground: m, of the ground's height by the lower foot. fall: share of gravity in the downward
+    acceleration at which no foot stands.
+    """
+
+    acc: float = 0.3
+    acc_s: float = 0.5
+    blind_acc: float = 2.0
+    blind_s: float = 0.2
+    foot_speed: float = 0.1
+    height: float = 0.03
+    speed: float = 0.4
+    ground: float = 0.03
+    fall: float = 0.7
+
+
+@dataclass(frozen=True, eq=False)
+class RootState:
+    """p (3,) m and v (3,) m/s of the pelvis joint in the world, the ground at y = 0.
+
+    NaN in p: not placed yet. covariance (3,2,2): position and velocity of each axis, m^2, m^2/s,
+    m^2/s^2. soles (2,2,3) m: see `Contact.soles`, a frame ago; None at the start and after a gap.
+    standing (2,): the belief that each foot stands, 0 to 1.
+    """
+
+    p: Array
+    v: Array
+    covariance: Array
+    soles: Array | None
+    standing: Array
+
+    @property
+    def std_m(self) -> Array:
+        """(3,) m: deviation of the root's position."""
+        return np.sqrt(self.covariance[:, 0, 0])
+
+
+def start() -> RootState:
+    """Not placed yet."""
+    return RootState(np.full(3, np.nan), np.zeros(3), np.zeros((3, 2, 2)), None, np.zeros(2))
+
+
+class Contact:
+    """The constants of a skeleton; all that changes is in `RootState`."""
+
+    def __init__(self, skeleton: Skeleton, noise: ContactNoise | None = None) -> None:
+        self.noise = noise or ContactNoise()
+        rest = skeleton.rest_positions
+        under = SOLE_BELOW_TOE * skeleton.stature / TABLE_STATURE
+        floor = rest[[10, 11], 1].min() - under
+        self._offsets = skeleton.offsets
+        # The sole is flat in the rest pose: each point lies straight under its joint.
+        self._under = np.zeros((2, 2, 3))
+        self._under[..., 1] = floor - rest[np.array(LEGS[2:]), 1]
+
+    def soles(self, R_parent_joint: Array) -> Array:
+        """(2,2,3) m: points under ankle and toe (first axis) of left and right, relative to the
+        pelvis joint, world axes, of local rotations (24,3,3).
+        """
+        R, p = R_parent_joint[[0, 0]], np.zeros((2, 3))
+        out = np.empty((2, 2, 3))
+        for k, pair in enumerate(LEGS):
+            joints = list(pair)
+            p = p + np.einsum("fij,fj->fi", R, self._offsets[joints])
+            R = R @ R_parent_joint[joints]
+            if k >= 2:
+                out[k - 2] = p + np.einsum("fij,fj->fi", R, self._under[k - 2])
+        return out
+
+    def step(
+        self,
+        state: RootState,
+        soles: Array,
+        acc_pelvis: Array,
+        dt: float,
+        at: Array,
+    ) -> RootState:
+        """One frame of dt s. soles: see `soles`. acc_pelvis (3,) m/s^2, NaN where not measured.
+
+        at (3,) m: where to start, horizontally; the height comes from the ground. After a gap
+        (state.soles None) the path goes on where it was.
+        """
+        n = self.noise
+        lowest = float(soles[..., 1].min())
+        if state.soles is None:
+            p = np.where(np.isfinite(state.p), state.p, at)
+            p[1] = -lowest
+            covariance = np.tile(np.diag([n.ground**2, n.speed**2]), (3, 1, 1))
+            return RootState(p, np.zeros(3), covariance, soles, np.ones(2) / 2)
+        measured = bool(np.isfinite(acc_pelvis).all())
+        acc = acc_pelvis if measured else np.zeros(3)
+        sigma, memory = (n.acc, n.acc_s) if measured else (n.blind_acc, n.blind_s)
+        p = state.p + state.v * dt + acc * dt**2 / 2
+        v = state.v + acc * dt
+        F = np.array([[1.0, dt], [0.0, 1.0]])
+        Q = np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]]) * (2 * sigma**2 * memory)
+        P = F @ state.covariance @ F.T + Q
+        # Of each foot the point that stands is the lower one.
+        lower = soles[..., 1].argmin(axis=0)
+        foot = soles[lower, [0, 1]]
+        velocity = (foot - state.soles[lower, [0, 1]]) / dt
+        standing = self._standing(foot[:, 1] - lowest, velocity, v, acc, P)
+        for k in range(2):
+            variance = n.foot_speed**2 / max(standing[k], 1e-6) ** 2
+            p, v, P = _measure(p, v, P, np.ones(3, bool), 1, -velocity[k], variance)
+        variance = n.ground**2 / max(standing.max(), 1e-6) ** 2
+        up = np.array([False, True, False])
+        p, v, P = _measure(p, v, P, up, 0, np.array([0, -lowest, 0]), variance)
+        return RootState(p, v, P, soles, standing)
+
+    def _standing(
+        self, height: Array, velocity: Array, v_root: Array, acc: Array, P: Array
+    ) -> Array:
+        """(2,): belief that each foot stands, from its height, its speed and the body's fall."""
+        n = self.noise
+        speed = np.linalg.norm(velocity + v_root, axis=1)
+        # An uncertain root velocity makes every foot look fast: that much proves nothing.
+        allowed = n.speed**2 + P[:, 1, 1].sum()
+        falling = np.clip(-acc[1] / (n.fall * ori.GRAVITY), 0.0, 1.0)
+        return np.exp(-((height / n.height) ** 2) / 2 - speed**2 / allowed / 2) * (1 - falling**4)
+
+
+def _measure(
+    p: Array, v: Array, P: Array, axes: np.ndarray, which: int, value: Array, variance: float
+) -> tuple[Array, Array, Array]:
+    """Kalman update of the axes (3,) by a measured position (which 0, m) or velocity (1, m/s)."""
+    gain = P[:, :, which] / (P[:, which, which] + variance)[:, None]
+    gain = np.where(axes[:, None], gain, 0.0)
+    error = np.where(axes, value - (v if which else p), 0.0)
+    keep = np.tile(np.eye(2), (3, 1, 1))
+    keep[:, :, which] -= gain
+    P = keep @ P @ keep.transpose(0, 2, 1) + variance * gain[:, :, None] * gain[:, None, :]
+    return p + gain[:, 0] * error, v + gain[:, 1] * error, P

@@ -1,0 +1,74 @@
+"""Poses of chosen points on the body and their Jacobians, through Pinocchio, at one frame's cost.
+
+Unknown of the whole package: dv (n,) rad, the right-tangent step of the free joints, three numbers each,
+R_parent_joint_j <- R_parent_joint_j Exp(dv_j) (for the root R_world_root <- R_world_root Exp(dv_0)).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from mocap.orientation import Array
+from mocap.skeleton import Skeleton
+
+
+@dataclass(frozen=True, eq=False)
+class Configuration:
+    """Kinematics of one pose, pelvis joint at the origin: whoever holds one cannot use stale ones.
+
+    R_world_bone (S,3,3) and p_world (S,3) m: of each point's bone, and of the point. J_rotation (S,3,n):
+    R_world_bone(dv) = Exp(J_rotation dv) R_world_bone, so world axes. J_position (S,3,n) m/rad.
+    """
+
+    R_world_bone: Array
+    p_world: Array
+    J_rotation: Array
+    J_position: Array
+
+
+class Kinematics:
+    """The tree with its points and free joints fixed; `at` evaluates a pose.
+
+    joint (S,), seat (S,3) m: the points, each fixed to a bone. free: the joints that may move, the root
+    being 0. Arrays are allocated once; what `at` returns is new.
+    """
+
+    def __init__(
+        self, skeleton: Skeleton, joint: np.ndarray, seat: Array, free: tuple[int, ...]
+    ) -> None:
+        self.skeleton, self.free = skeleton, free
+        self.joint, self.seat = np.asarray(joint, int), np.asarray(seat, float)
+        model = skeleton.pin_model
+        self._model, self._data = model, model.createData()
+        self._ids = [skeleton.pin_ids[j] for j in self.joint]
+        starts = [model.joints[skeleton.pin_ids[j]].idx_v + (0 if j else 3) for j in free]
+        self._columns = np.array([s + k for s in starts for k in range(3)], int)
+        above = [[f in skeleton.ancestors(int(j)) for f in free] for j in self.joint]
+        shape = (len(self.joint), 1, 3 * len(free))
+        self._reach = np.repeat(np.array(above, float), 3, axis=-1).reshape(shape)
+
+    @property
+    def n(self) -> int:
+        """Unknowns: three per free joint."""
+        return 3 * len(self.free)
+
+    def at(self, R_parent_joint: Array) -> Configuration:
+        """Poses and Jacobians of the points at local rotations (24,3,3); one tree sweep."""
+        q = self.skeleton.pin_configuration(R_parent_joint, np.zeros(3))
+        # Columns of the world Jacobian: a spatial velocity at the world's origin, linear part first.
+        J = pin.computeJointJacobians(self._model, self._data, q)[:, self._columns]
+        R = np.array([self._data.oMi[i].rotation for i in self._ids]).reshape(-1, 3, 3)
+        p = np.array([self._data.oMi[i].translation for i in self._ids]).reshape(-1, 3)
+        p += np.einsum("sij,sj->si", R, self.seat)
+        J_rotation = self._reach * J[3:]
+        # v(x) = v(origin) + omega x x.
+        turned = np.empty_like(J_rotation)
+        x, y, z = (p[:, i, None] for i in range(3))
+        wx, wy, wz = (J[3 + i] for i in range(3))
+        turned[:, 0] = wy * z - wz * y
+        turned[:, 1] = wz * x - wx * z
+        turned[:, 2] = wx * y - wy * x
+        return Configuration(R, p, J_rotation, self._reach * (J[:3] + turned))

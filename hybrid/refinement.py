@@ -1,0 +1,265 @@
+"""One frame: the network's pose and the frame's measurements in, the refined pose out.
+
+    minimise  sum_s |Log(R_meas^T R_s) + Jlog3 R_s^T J_s dv|^2 / sigma_ori^2
+            + sum_s w_s |p_s + Jp_s dv - p_pred_s|^2 / P_s                       gated, Huber
+            + |Log(R_net^T R) + J_r^-1 dv|^2_{Lambda_net}
+            + |dv|^2 / sigma_step^2
+    subject to joint limits and joint rates (a box in the rotation vectors)
+
+linearised at R = R_net Exp(xi), xi the refinement of the frame before: what the network gets wrong changes
+slowly, so one step a frame follows it, and the damping holds the refinement's change, not the pose's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hybrid import limits, motion_filter, tasks
+from hybrid.kinematics import Configuration, Kinematics
+from hybrid.limb_qp import Answer, LimbQP
+from hybrid.settings import TrackerSettings
+from mocap import orientation as ori
+from mocap.estimator import Pose, Sample
+from mocap.orientation import Array
+from mocap.skeleton import Skeleton
+
+TRUNK = (0, 3, 6, 9)
+ROOT_OFFSET_S = 0.5  # memory of the root's correction while a worn pelvis sensor is lost
+NO_MEASUREMENT = "no sensor measured"
+NOT_CONVERGED = "the QP did not converge"
+
+
+@dataclass(frozen=True, eq=False)
+class Memory:
+    """What one frame hands to the next.
+
+    xi (F,3) rad: refinement of the free joints. root (3,) rad: Log(R_net^T R_measured) of the root.
+    R_free (F,3,3): the refined rotations, or None at a start. motion: the sensors' filters, p relative to
+    the pelvis sensor. refused_s (S,): for how long each filter's predictions have been refused.
+    """
+
+    xi: Array
+    root: Array
+    R_free: Array | None
+    motion: motion_filter.SensorMotion
+    refused_s: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """R_parent_joint (24,3,3), std_rad (24,3) or None, what happened. reason: why it is the network's
+    pose; empty when it is refined. events: counts of what was left out. qp: the QP's answer.
+    """
+
+    R_parent_joint: Array
+    std_rad: Array | None
+    reason: str
+    events: Mapping[str, int]
+    qp: Answer | None
+
+
+def free_joints(skeleton: Skeleton, joint: np.ndarray, spine: bool) -> tuple[int, ...]:
+    """The joints from each sensor's bone up to the trunk; with `spine` on through the trunk.
+
+    The root is among them where no sensor sits on it. A sensor on the trunk frees what is below it.
+    """
+    free: set[int] = set()
+    for j in joint:
+        above = skeleton.ancestors(int(j))
+        keep = spine or int(j) in TRUNK
+        free.update(k for k in above if k and (keep or k not in TRUNK))
+    if 0 not in joint:
+        free.add(0)
+    return tuple(sorted(free))
+
+
+class Refinement:
+    """The constants of a sensor set: kinematics, QP, limits. All that changes is in `Memory`."""
+
+    def __init__(
+        self, skeleton: Skeleton, joint: np.ndarray, seat: Array, settings: TrackerSettings
+    ) -> None:
+        self.settings = settings
+        self.joint = np.asarray(joint, int)
+        at_root = np.flatnonzero(self.joint == 0)
+        self.pelvis: int | None = int(at_root[0]) if len(at_root) else None
+        self.free = free_joints(skeleton, self.joint, settings.spine)
+        self._free = list(self.free)
+        self.kinematics = Kinematics(skeleton, self.joint, seat, self.free)
+        self._qp = LimbQP(3 * len(self.free)) if self.free else None
+        lower, upper = limits.ranges()
+        self._lower, self._upper = lower[self._free], upper[self._free]
+        self._limited = np.array([j != 0 for j in self.free], bool)
+        scale = np.broadcast_to(np.asarray(settings.network_scale, float), 24)
+        self._scale = scale[self._free]
+        self._limbs = self.joint != 0
+
+    def start(self) -> Memory:
+        """Nothing remembered."""
+        F, S = len(self.free), len(self.joint)
+        return Memory(np.zeros((F, 3)), np.zeros(3), None, motion_filter.stopped(S), np.zeros(S))
+
+    def refine(
+        self, memory: Memory, pose: Pose, sample: Sample, dt: float
+    ) -> tuple[Memory, Refined]:
+        """Refine the network's `pose` by the `sample` of its own time, dt s after the frame before.
+
+        The pose must be orthonormal, valid samples finite and orthonormal, dt positive.
+        """
+        R_net = np.array(pose.R_parent_joint)
+        seen = sample.valid & np.isfinite(sample.R_world_bone).all((-1, -2))
+        root = self._measured_root(R_net, sample, seen, memory, dt)
+        motion = self._predicted(memory.motion, sample, dt)
+        memory = replace(memory, root=root, motion=motion)
+        unseen = "" if seen.any() else NO_MEASUREMENT
+        if self._qp is None:
+            return memory, Refined(R_net, pose.std_rad, unseen, {}, None)
+        R = R_net.copy()
+        R[self._free] = R_net[self._free] @ ori.exp(memory.xi)
+        at = self.kinematics.at(R)
+        terms, refused, events = self._terms(at, memory, pose, sample, seen, dt)
+        answer, dv = self._solve(self._qp, terms, R_net, R, memory, dt)
+        if not answer.ok:
+            memory = replace(memory, xi=np.zeros_like(memory.xi), R_free=R_net[self._free])
+            return memory, Refined(R_net, pose.std_rad, NOT_CONVERGED, events, answer)
+        R[self._free] = R[self._free] @ ori.exp(dv)
+        xi = ori.log(R_net[self._free].transpose(0, 2, 1) @ R[self._free])
+        motion, refused_s, restarted = self._follow(memory, at, dv, refused, sample, dt)
+        events["filter restarted"] = restarted
+        memory = replace(memory, xi=xi, R_free=R[self._free], motion=motion, refused_s=refused_s)
+        return memory, Refined(R, self._deviation(pose, answer), unseen, events, answer)
+
+    def _measured_root(
+        self, R_net: Array, sample: Sample, seen: np.ndarray, memory: Memory, dt: float
+    ) -> Array:
+        """Put the pelvis sensor's rotation into R_net; returns the correction, for `Memory.root`.
+
+        While the sensor is lost its last correction of the network's root fades out.
+        """
+        if self.pelvis is None:
+            return memory.root
+        if seen[self.pelvis]:
+            R = sample.R_world_bone[self.pelvis]
+            correction = ori.log(R_net[0].T @ R)
+            R_net[0] = R
+            return correction
+        correction = memory.root * np.exp(-dt / ROOT_OFFSET_S)
+        R_net[0] = R_net[0] @ ori.exp(correction)
+        return correction
+
+    def _predicted(
+        self, motion: motion_filter.SensorMotion, sample: Sample, dt: float
+    ) -> motion_filter.SensorMotion:
+        if self.pelvis is None:
+            return motion
+        acc = np.where(sample.valid[:, None], sample.acc_world, np.nan)
+        return motion_filter.predict(motion, acc - acc[self.pelvis], dt, self.settings.filter_noise)
+
+    def _terms(
+        self,
+        at: Configuration,
+        memory: Memory,
+        pose: Pose,
+        sample: Sample,
+        seen: np.ndarray,
+        dt: float,
+    ) -> tuple[list[tasks.Term], np.ndarray, dict[str, int]]:
+        """All terms at this configuration, the predictions refused (S,), counts of what was left out."""
+        s = self.settings
+        sigma = self._network_sigma(pose)
+        terms = [
+            tasks.network(memory.xi, sigma),
+            tasks.damping(self.kinematics.n, np.deg2rad(s.step_sigma_deg) * np.sqrt(dt)),
+        ]
+        use = np.flatnonzero(seen & self._limbs)
+        term, angle = tasks.orientation(
+            at, use, sample.R_world_bone[use], np.deg2rad(s.orientation_sigma_deg)
+        )
+        terms.append(term)
+        refused = np.zeros(len(self.joint), bool)
+        use = np.flatnonzero(memory.motion.running & self._limbs)
+        if self.pelvis is not None and len(use):
+            p, J = tasks.relative_position(at, self.pelvis)
+            placed = tasks.position(
+                p[use],
+                J[use],
+                memory.motion.p[use],
+                memory.motion.covariance[use, 0],
+                sigma.ravel() ** 2,
+                s.position_gate_sigma,
+                s.position_robust_sigma,
+            )
+            refused[use] = placed.refused
+            terms.append(placed.term)
+        turned = int((angle > tasks.MAX_ANGLE).sum())
+        return (
+            terms,
+            refused,
+            {"orientation refused": turned, "position refused": int(refused.sum())},
+        )
+
+    def _solve(
+        self, qp: LimbQP, terms: list[tasks.Term], R_net: Array, R: Array, memory: Memory, dt: float
+    ) -> tuple[Answer, Array]:
+        """The QP's answer in rotation-vector steps, and the same as tangent steps dv (F,3)."""
+        F = len(self.free)
+        R_now = R[self._free]
+        theta, proposed = ori.log(np.stack([R_now, R_net[self._free]]))
+        # The root's rotation vector has no limits and may pass the half turn: its chart is its tangent.
+        B: Array = np.where(self._limited[:, None, None], ori.right_jacobian(theta), np.eye(3))
+        reach = np.inf
+        centre = np.zeros((F, 3))
+        if memory.R_free is not None:
+            back = ori.log(R_now.transpose(0, 2, 1) @ memory.R_free)
+            centre[:] = np.linalg.solve(B, back[..., None])[..., 0]
+            reach = np.deg2rad(self.settings.rate_limit_deg_s) * dt
+        low, high = tasks.box(theta, proposed, self._lower, self._upper, centre, reach)
+        H, g = tasks.in_rotation_vectors(*tasks.normal_equations(terms), B)
+        answer = qp.solve(H, g, low.ravel(), high.ravel())
+        return answer, np.einsum("fij,fj->fi", B, answer.x.reshape(F, 3))
+
+    def _follow(
+        self,
+        memory: Memory,
+        at: Configuration,
+        dv: Array,
+        refused: np.ndarray,
+        sample: Sample,
+        dt: float,
+    ) -> tuple[motion_filter.SensorMotion, Array, int]:
+        """The filters after the solve, for how long each has been refused, how many started anew."""
+        motion, noise = memory.motion, self.settings.filter_noise
+        if self.pelvis is None or not self.settings.positions:
+            return motion, memory.refused_s, 0
+        p, J = tasks.relative_position(at, self.pelvis)
+        solved = p + J @ dv.ravel()
+        refused_s = np.where(refused, memory.refused_s + dt, 0.0)
+        again = refused_s > self.settings.restart_after_s
+        measured = sample.valid & np.isfinite(sample.acc_world).all(axis=1)
+        begin = self._limbs & ~motion.running & measured & measured[self.pelvis]
+        used = motion.running & self._limbs & ~refused
+        motion = motion_filter.update(motion, solved, used, noise.solved_variance(dt))
+        motion = motion_filter.start(motion, solved, begin | again, noise)
+        return motion, np.where(again, 0.0, refused_s), int(again.sum())
+
+    def _network_sigma(self, pose: Pose) -> Array:
+        """(F,3) rad: the network's deviation of the free joints, scaled and kept in bounds."""
+        s = self.settings
+        plain = np.deg2rad(s.network_sigma_deg)
+        if pose.std_rad is None:
+            return np.full((len(self.free), 3), plain)
+        stated = np.asarray(pose.std_rad, float)[self._free]
+        known = np.isfinite(stated) & (stated > 0)
+        scaled = np.where(known, stated, plain) * self._scale[:, None]
+        return np.clip(scaled, np.deg2rad(s.network_floor_deg), np.deg2rad(s.network_ceiling_deg))
+
+    def _deviation(self, pose: Pose, answer: Answer) -> Array | None:
+        """(24,3) rad: the QP's posterior for the free joints, the network's for the others."""
+        if pose.std_rad is None:
+            return None
+        out = np.array(pose.std_rad, float)
+        out[self._free] = np.sqrt(answer.variance).reshape(-1, 3)
+        return out

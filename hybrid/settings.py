@@ -1,0 +1,57 @@
+"""Every number of the tracker, with its unit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from hybrid.motion_filter import FilterNoise
+from mocap.errors import PoserError
+
+
+@dataclass(frozen=True)
+class TrackerSettings:
+    """Sigmas are one standard deviation per axis.
+
+    orientation_sigma_deg: measured bone orientation (mounting, heading, soft tissue). network_sigma_deg:
+    of a joint for which the network states none. network_scale: factor on the network's own, one for
+    all joints or 24 of them, so that validation errors have unit variance (`hybrid.scale`).
+    network_floor_deg, network_ceiling_deg: what a stated sigma is kept within. step_sigma_deg: change of
+    the refinement (network's joint to ours) in one second, growing with the root of time.
+    position_gate_sigma: predicted positions further off are refused; after restart_after_s of refusals
+    in a row the sensor's filter starts anew. position_robust_sigma: beyond it the cost is linear.
+    rate_limit_deg_s: of any component of a joint's rotation vector. gap_s: a longer silence of the clock
+    restarts the filters. spine: whether the trunk's joints move too. translation: whether the root's path
+    is replaced by that of the contact filter.
+    """
+
+    orientation_sigma_deg: float = 5.0
+    network_sigma_deg: float = 12.0
+    network_scale: float | tuple[float, ...] = 1.0
+    network_floor_deg: float = 1.0
+    network_ceiling_deg: float = 60.0
+    step_sigma_deg: float = 25.0
+    positions: bool = True
+    position_gate_sigma: float = 4.0
+    position_robust_sigma: float = 2.0
+    restart_after_s: float = 0.25
+    rate_limit_deg_s: float = 1500.0
+    gap_s: float = 0.25
+    spine: bool = True
+    translation: bool = True
+    filter_noise: FilterNoise = field(default_factory=FilterNoise)
+
+    def __post_init__(self) -> None:
+        for name in (
+            "orientation_sigma_deg", "network_sigma_deg", "network_floor_deg", "step_sigma_deg",
+            "position_gate_sigma", "position_robust_sigma", "restart_after_s", "rate_limit_deg_s", "gap_s",
+        ):  # fmt: skip
+            value = getattr(self, name)
+            if not 0 < value < float("inf"):
+                raise PoserError(f"TrackerSettings: {name} must be positive, got {value!r}")
+        if not self.network_floor_deg <= self.network_ceiling_deg <= 180:
+            raise PoserError("TrackerSettings: network_ceiling_deg must lie between floor and 180")
+        scale = self.network_scale
+        if isinstance(scale, tuple) and len(scale) != 24:
+            raise PoserError(f"TrackerSettings: network_scale needs 24 factors, got {len(scale)}")
+        if not all(0 < s < float("inf") for s in (scale if isinstance(scale, tuple) else (scale,))):
+            raise PoserError("TrackerSettings: network_scale must be positive")

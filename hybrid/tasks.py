@@ -1,0 +1,133 @@
+"""The terms of one frame: whitened residual e (m,) and Jacobian J (m,n) with respect to dv.
+
+Each term is |e + J dv|^2; a term knows no other, and `normal_equations` adds them up. Constraints are a
+box on z, the step of the rotation vectors themselves: theta_j <- theta_j + z_j, dv_j = J_r(theta_j) z_j.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from hybrid.kinematics import Configuration
+from mocap import orientation as ori
+from mocap.orientation import Array
+
+# Past this angle the logarithm's gradient points the wrong way as soon as noise crosses the half turn.
+MAX_ANGLE = np.deg2rad(150.0)
+
+
+class Term(NamedTuple):
+    """Whitened residual e (m,) and Jacobian J (m,n): cost |e + J dv|^2."""
+
+    e: Array
+    J: Array
+
+
+def orientation(
+    at: Configuration, point: np.ndarray, R_measured: Array, sigma: float
+) -> tuple[Term, Array]:
+    """Log(R_measured^T R_world_bone) / sigma of the points `point`, sigma in rad.
+
+    R(dv) = R Exp(R^T J_rotation dv), so the Jacobian is Jlog3(R_measured^T R) R^T J_rotation. Also
+    returns the angles (m,) rad; a term whose angle exceeds MAX_ANGLE is left out (zero).
+    """
+    n = at.J_rotation.shape[-1]
+    e, J = np.zeros((len(point), 3)), np.zeros((len(point), 3, n))
+    angle = np.zeros(len(point))
+    for i, s in enumerate(point):
+        R = at.R_world_bone[s]
+        difference = R_measured[i].T @ R
+        w = pin.log3(difference)
+        angle[i] = np.linalg.norm(w)
+        if angle[i] <= MAX_ANGLE:
+            e[i] = w / sigma
+            J[i] = (pin.Jlog3(difference) / sigma) @ (R.T @ at.J_rotation[s])
+    return Term(e.ravel(), J.reshape(-1, n)), angle
+
+
+def relative_position(at: Configuration, origin: int) -> tuple[Array, Array]:
+    """p (S,3) m of all points relative to the point `origin`, world axes, and J (S,3,n)."""
+    return at.p_world - at.p_world[origin], at.J_position - at.J_position[origin]
+
+
+class Position(NamedTuple):
+    """The position term, how far off each prediction is in sigmas, and which ones the gate refused."""
+
+    term: Term
+    innovation: Array
+    refused: np.ndarray
+
+
+def position(
+    p: Array, J: Array, predicted: Array, variance: Array, prior: Array, gate: float, robust: float
+) -> Position:
+    """(p - predicted) / sqrt(variance) for sensor positions p (m,3) m with Jacobians J (m,3,n).
+
+    predicted (m,3) m, variance (m,) m^2 per axis: the motion filter's. prior (n,): variance in rad^2 of
+    dv by the network, from which the innovation's own variance follows: variance + tr(J prior J^T) / 3.
+    A prediction more than `gate` sigmas of the innovation away is refused; one more than `robust` sigmas
+    of its own away counts linearly (Huber: weight robust / distance).
+    """
+    distance = np.linalg.norm(p - predicted, axis=1)
+    spread = variance + np.einsum("mkn,n,mkn->m", J, prior, J) / 3
+    innovation = distance / np.sqrt(spread)
+    refused = ~(innovation <= gate)
+    sigmas = distance / np.sqrt(variance)
+    weight = np.where(refused, 0.0, np.minimum(1.0, robust / np.maximum(sigmas, 1e-9)))
+    root = np.sqrt(weight / variance)
+    e = np.where(refused[:, None], 0.0, p - predicted) * root[:, None]
+    term = Term(e.ravel(), (J * root[:, None, None]).reshape(-1, J.shape[-1]))
+    return Position(term, innovation, refused)
+
+
+def network(xi: Array, sigma: Array) -> Term:
+    """Log(R_net^T R) / sigma of the free joints: xi (F,3) rad now, sigma (F,3) rad.
+
+    R = R_net Exp(xi) and Log(Exp(xi) Exp(dv)) = xi + J_r^-1(xi) dv. The covariance is the network's own,
+    diagonal in each joint's rotation vector.
+    """
+    F = len(xi)
+    J = np.zeros((F, 3, F, 3))
+    J[np.arange(F), :, np.arange(F), :] = ori.right_jacobian_inv(xi) / sigma[:, :, None]
+    return Term((xi / sigma).ravel(), J.reshape(3 * F, 3 * F))
+
+
+def damping(n: int, sigma: float) -> Term:
+    """dv / sigma: the refinement changes by sigma rad from one frame to the next."""
+    return Term(np.zeros(n), np.eye(n) / sigma)
+
+
+def normal_equations(terms: Sequence[Term]) -> tuple[Array, Array]:
+    """H (n,n) and g (n,) of 1/2 sum |e + J dv|^2 = 1/2 dv^T H dv + g^T dv + constant."""
+    J = np.concatenate([t.J for t in terms])
+    e = np.concatenate([t.e for t in terms])
+    return J.T @ J, J.T @ e
+
+
+def box(
+    theta: Array, proposed: Array, lower: Array, upper: Array, centre: Array, reach: float
+) -> tuple[Array, Array]:
+    """Bounds (F,3) on z, never empty.
+
+    Limits: lower <= theta + z <= upper, rad (F,3), widened where the network's own angle `proposed`
+    (F,3) lies outside: the refinement takes no joint further out of its range than it was proposed.
+    Rate: |z - centre| <= reach, centre (F,3) the last pose in this chart. Where the two do not meet the
+    rate gives way: z may go to the edge of the limits that is nearest to the rate's interval.
+    """
+    low = np.minimum(lower, proposed) - theta
+    high = np.maximum(upper, proposed) - theta
+    slow, fast = centre - reach, centre + reach
+    return np.minimum(np.maximum(low, slow), high), np.maximum(np.minimum(high, fast), low)
+
+
+def in_rotation_vectors(H: Array, g: Array, B: Array) -> tuple[Array, Array]:
+    """B^T H B and B^T g for the block diagonal B (F,3,3): the same quadratic in z, dv = B z."""
+    F = len(B)
+    Bt = B.transpose(0, 2, 1)
+    half = Bt @ H.reshape(F, 3, 3 * F)
+    full = Bt @ half.reshape(3 * F, 3 * F).T.reshape(F, 3, 3 * F)
+    return full.reshape(3 * F, 3 * F), (Bt @ g.reshape(F, 3, 1)).ravel()
