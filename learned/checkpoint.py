@@ -1,0 +1,105 @@
+"""Weights on disk: safetensors and a JSON description beside them.
+
+Neither can run code. The JSON says what the network is (`Config`), what it was trained on, its licence and
+its figures; loading refuses what does not fit with a sentence.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save_file
+
+from learned.errors import CheckpointError
+from learned.models import Config, Model, build
+from mocap.formats._files import write_aside
+
+SCHEMA = "poser-weights/1"
+WEIGHTS = Path(__file__).parent / "weights"
+
+
+def shipped(network: str) -> Path:
+    """The weights of dip or imuposer that come with the package."""
+    return WEIGHTS / f"{network}.safetensors"
+
+
+def save(model: Model, path: Path, about: dict[str, Any], half: bool = False) -> None:
+    """Write `path` (.safetensors) and the .json beside it.
+
+    half: matrices in half precision; vectors, scalers and deviations stay single, they cost nothing.
+    """
+    tensors = {
+        name: (x.half() if half and x.ndim > 1 and name.startswith("net.") else x)
+        .detach().cpu().contiguous()
+        for name, x in model.state_dict().items()
+    }  # fmt: skip
+    record = {"schema": SCHEMA, "config": model.config.to_json(), **about}
+    with write_aside(path) as aside:
+        save_file(tensors, aside, metadata={"schema": SCHEMA})
+    with write_aside(path.with_suffix(".json")) as aside:
+        aside.write_text(json.dumps(record, indent=1) + "\n")
+
+
+def describe(path: Path) -> dict[str, Any]:
+    """The JSON beside the weights. Raises CheckpointError where it is absent or not one of ours."""
+    beside = path.with_suffix(".json")
+    try:
+        record = json.loads(beside.read_text())
+    except FileNotFoundError:
+        raise CheckpointError(
+            f"{beside}: no such file; weights come with their description"
+        ) from None
+    except (OSError, ValueError) as e:
+        raise CheckpointError(f"{beside}: not a description of weights ({e})") from e
+    if not isinstance(record, dict) or record.get("schema") != SCHEMA:
+        raise CheckpointError(f"{beside}: schema is not {SCHEMA}")
+    return record
+
+
+def config_of(path: Path) -> Config:
+    """The configuration that the weights were trained with."""
+    stated = describe(path).get("config")
+    if not isinstance(stated, dict):
+        raise CheckpointError(f"{path.with_suffix('.json')}: holds no config")
+    try:
+        return Config(**stated)
+    except (TypeError, ValueError) as e:
+        raise CheckpointError(f"{path.with_suffix('.json')}: config does not fit: {e}") from e
+    except CheckpointError as e:
+        raise CheckpointError(f"{path.with_suffix('.json')}: {e}") from e
+
+
+def load(path: Path, network: str | None = None) -> Model:
+    """The model, ready for inference, single precision.
+
+    Raises CheckpointError where the file is absent, corrupt, of another network than `network`, or its
+    tensors do not fit its description (names, shapes, values that are not finite).
+    """
+    if not path.is_file():
+        raise CheckpointError(f"{path}: no such file")
+    config = config_of(path)
+    if network is not None and config.network != network:
+        raise CheckpointError(f"{path}: weights of {config.network}, expected {network}")
+    try:
+        tensors = load_file(path)
+    except (SafetensorError, OSError, ValueError) as e:
+        raise CheckpointError(f"{path}: not a safetensors file, or cut short ({e})") from e
+    with torch.random.fork_rng(devices=[]):  # the weights drawn here are overwritten at once
+        model = build(config)
+    expected = {k: tuple(v.shape) for k, v in model.state_dict().items()}
+    found = {k: tuple(v.shape) for k, v in tensors.items()}
+    for name in sorted(expected.keys() | found.keys()):
+        if expected.get(name) != found.get(name):
+            raise CheckpointError(
+                f"{path}: tensor {name} has shape {found.get(name, 'none')}, "
+                f"expected {expected.get(name, 'none')}"
+            )
+        if not torch.isfinite(tensors[name]).all():
+            raise CheckpointError(f"{path}: tensor {name} holds values that are not finite")
+    model.load_state_dict({k: v.float() for k, v in tensors.items()})
+    model.requires_grad_(False)
+    return model.eval()

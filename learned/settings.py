@@ -1,0 +1,80 @@
+"""Every number of a training run."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from learned.augmentation import Augmentation
+from learned.errors import TrainingError
+from learned.models import Config
+
+
+@dataclass(frozen=True)
+class TrainSettings:
+    """A training run.
+
+    steps: optimizer steps, at most. batch, frames: windows per step and their length. learning_rate,
+    decay, decay_steps: the rate is learning_rate * decay ** (step / decay_steps). clip: gradient norm.
+    cooldown: the last share of the steps over which the rate falls linearly to zero as well (0: none, as
+    in the papers). average: decay of the running mean of the weights that is validated and shipped
+    (0: the weights themselves). reconstruct_acc: DIP's second loss (eq. 5). patience: validations without
+    a better loss after which training stops early (0: never). every: steps between validations. bfloat16:
+    mixed precision. minutes: stop after this long (None: no limit), the cooldown following the clock then.
+    """
+
+    config: Config = field(default_factory=Config)
+    steps: int = 100_000
+    batch: int = 16
+    frames: int = 60
+    learning_rate: float = 1e-3
+    decay: float = 0.96
+    decay_steps: int = 2000
+    clip: float = 1.0
+    cooldown: float = 0.0
+    average: float = 0.999
+    reconstruct_acc: bool = True
+    patience: int = 20
+    every: int = 1000
+    bfloat16: bool = True
+    minutes: float | None = None
+    seed: int = 0
+    augmentation: Augmentation = field(default_factory=Augmentation)
+
+    def __post_init__(self) -> None:
+        for name in ("steps", "batch", "every", "decay_steps"):
+            if getattr(self, name) < 1:
+                raise TrainingError(f"{name} must be 1 or more, got {getattr(self, name)}")
+        if self.frames < 8:
+            raise TrainingError(f"frames must be 8 or more, got {self.frames}")
+        if not self.learning_rate > 0:
+            raise TrainingError(f"learning_rate must be above zero, got {self.learning_rate}")
+
+    @classmethod
+    def paper(cls, network: str, **changes: Any) -> TrainSettings:
+        """The papers' schedules.
+
+        DIP: Adam at 1e-3, decayed by 0.96 every 2,000 steps, gradients clipped at 1, early stopping (4.1;
+        the authors' code has 1e-4), batches of 16 (the authors' code). IMUPoser: Adam at 3e-4, batches of
+        256 windows of 125 frames (4.3), no decay, no clipping.
+        """
+        if network == "imuposer":
+            from learned.models import for_network
+
+            base: dict[str, Any] = {
+                "config": for_network("imuposer"), "batch": 256, "frames": 125, "learning_rate": 3e-4,
+                "decay": 1.0, "clip": float("inf"),
+            }  # fmt: skip
+            return cls(**(base | changes))
+        return cls(**changes)
+
+    def to_json(self) -> dict[str, Any]:
+        """As JSON."""
+        return asdict(self)
+
+    def rate_at(self, step: int, done: float) -> float:
+        """Learning rate at a step, `done` the share of the run (0 to 1) that is over."""
+        rate = self.learning_rate * self.decay ** (step / self.decay_steps)
+        if self.cooldown > 0:
+            rate *= min(1.0, max(0.0, 1.0 - done) / self.cooldown)
+        return rate

@@ -1,0 +1,230 @@
+"""Training: windows in, checkpoints and a log out; it can be killed at any point and resumed.
+
+A run lives in a folder: `state.pt` (everything needed to go on, replaced as a whole), `log.jsonl` (one line
+per validation), `best.safetensors` with its JSON (the weights of the best validation loss so far).
+"""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+import time
+from collections.abc import Callable
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from learned import checkpoint, losses
+from learned.errors import TrainingError
+from learned.features import COMBINATIONS, dip_target, imuposer_input
+from learned.models import Dip, Model, build
+from learned.settings import TrainSettings
+from learned.validation import Windowed, score
+from learned.virtual import Batch
+from mocap.formats._files import write_aside
+from mocap.skeleton import Skeleton
+
+SAVE_EVERY_S = 60.0
+_SCALER_BATCHES = 40  # batches that the scalers are fitted to
+
+
+class Source(Protocol):
+    """Where batches come from."""
+
+    def draw(self, rng: np.random.Generator, count: int) -> Batch: ...
+
+
+Progress = Callable[[dict[str, Any]], None]
+
+
+class Trainer:
+    """One run. `run()` goes on until it is done and returns the path of the best weights."""
+
+    def __init__(
+        self,
+        settings: TrainSettings,
+        source: Source,
+        validation: Windowed,
+        folder: Path,
+        about: dict[str, Any] | None = None,
+        start: Model | None = None,
+        device: str = "cpu",
+    ) -> None:
+        self.settings, self.source, self.validation, self.folder = (
+            settings,
+            source,
+            validation,
+            folder,
+        )
+        self.about, self.device = about or {}, torch.device(device)
+        self.step, self.seconds, self.best, self.since_best = 0, 0.0, math.inf, 0
+        torch.manual_seed(settings.seed)
+        self.rng = np.random.default_rng(settings.seed)
+        self.model: Model = build(settings.config) if start is None else copy.deepcopy(start)
+        self.model.requires_grad_(True).train().to(self.device)
+        self.offsets = torch.as_tensor(
+            np.array(Skeleton.default().offsets), dtype=torch.float32
+        ).to(device)
+        self.state_path = folder / "state.pt"
+        resumed = self.state_path.exists()
+        if start is None and not resumed and isinstance(self.model, Dip):
+            self._fit_scalers(self.model)
+        self.average = copy.deepcopy(self.model).eval().requires_grad_(False)
+        self.optimizer = torch.optim.Adam(self.model.parameters(), lr=settings.learning_rate)
+        folder.mkdir(parents=True, exist_ok=True)
+        if resumed:
+            self._resume()
+
+    def _fit_scalers(self, model: Dip) -> None:
+        rng = np.random.default_rng(self.settings.seed)
+        batches = [self.source.draw(rng, 64) for _ in range(_SCALER_BATCHES)]
+        model.fit_scalers(
+            torch.cat([b.R_world_bone for b in batches]),
+            torch.cat([b.acc_world for b in batches]),
+            torch.cat([b.R_parent_joint for b in batches]),
+        )
+
+    # -- the loop ---------------------------------------------------------------------------------
+
+    def run(self, progress: Progress | None = None) -> Path:
+        """Train. On KeyboardInterrupt the state is saved and the interruption passed on."""
+        s = self.settings
+        saved = time.monotonic()
+        losses_: list[Tensor] = []
+        try:
+            while self.step < s.steps and self._done() < 1 and not self._stale():
+                began = time.monotonic()
+                losses_.append(self._one())
+                self.seconds += time.monotonic() - began
+                ended = self.step >= s.steps or self._done() >= 1
+                if self.step % s.every == 0 or ended:
+                    self._validate(float(torch.stack(losses_).mean()), progress)
+                    losses_ = []
+                elif progress and self.step % 10 == 0:
+                    progress({"step": self.step, "done": self._done(), "loss": float(losses_[-1])})
+                if time.monotonic() - saved > SAVE_EVERY_S:
+                    self._save()
+                    saved = time.monotonic()
+        finally:
+            self._save()
+        return self.folder / "best.safetensors"
+
+    def _done(self) -> float:
+        by_steps = self.step / self.settings.steps
+        if self.settings.minutes is None:
+            return by_steps
+        return max(by_steps, self.seconds / (60 * self.settings.minutes))
+
+    def _stale(self) -> bool:
+        return self.settings.patience > 0 and self.since_best >= self.settings.patience
+
+    def _one(self) -> Tensor:
+        s = self.settings
+        loss = self._loss(self.source.draw(self.rng, s.batch))
+        if not torch.isfinite(loss):
+            raise TrainingError(
+                f"the loss is not finite at step {self.step}; a smaller rate may help"
+            )
+        self.optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        if math.isfinite(s.clip):
+            torch.nn.utils.clip_grad_norm_(self.model.parameters(), s.clip)
+        for group in self.optimizer.param_groups:
+            group["lr"] = s.rate_at(self.step, self._done())
+        self.optimizer.step()
+        self.step += 1
+        # A running mean that starts at zero knowledge: short at first, `average` in the long run.
+        keep = min(s.average, (1 + self.step) / (10 + self.step)) if s.average else 0.0
+        with torch.no_grad():
+            for a, b in zip(self.average.parameters(), self.model.parameters(), strict=True):
+                a.lerp_(b, 1 - keep)
+        return loss.detach()
+
+    def _loss(self, batch: Batch) -> Tensor:
+        model, s = self.model, self.settings
+        mixed = torch.autocast(self.device.type, torch.bfloat16) if s.bfloat16 else nullcontext()
+        if isinstance(model, Dip):
+            x, acc = model.inputs(batch.R_world_bone, batch.acc_world)
+            pose = model.output_scaler.scale(dip_target(batch.R_parent_joint))
+            with mixed:
+                out = model(x)
+            return losses.dip(out, pose, acc, s.reconstruct_acc)
+        worn = torch.zeros(len(batch.acc_world), 5, dtype=torch.bool)
+        for k, c in enumerate(self.rng.integers(len(COMBINATIONS), size=len(worn))):
+            worn[k, list(COMBINATIONS[c])] = True
+        x = imuposer_input(batch.R_world_bone, batch.acc_world, worn.to(self.device))
+        with mixed:
+            y = model(x)
+        return losses.imuposer(y, batch.R_parent_joint, self.offsets)
+
+    def _validate(self, training_loss: float, progress: Progress | None) -> None:
+        found = score(self.average.to("cpu"), self.validation)
+        self.average.to(self.device)
+        row = {
+            "step": self.step, "seconds": round(self.seconds, 1), "training_loss": training_loss,
+            "rate": self.optimizer.param_groups[0]["lr"],
+        } | {f"validation_{k}": v for k, v in found.items()}  # fmt: skip
+        if found["loss"] < self.best:
+            self.best, self.since_best = found["loss"], 0
+            about = self.about | {"training": self.settings.to_json(), "validation": row}
+            checkpoint.save(self.average, self.folder / "best.safetensors", about)
+        else:
+            self.since_best += 1
+        with (self.folder / "log.jsonl").open("a") as log:
+            log.write(json.dumps(row) + "\n")
+        if progress:
+            progress(row | {"done": self._done()})
+
+    # -- state ------------------------------------------------------------------------------------
+
+    def _save(self) -> None:
+        state = {
+            "settings": json.dumps(self.settings.to_json(), sort_keys=True),
+            "step": self.step, "seconds": self.seconds, "best": self.best,
+            "since_best": self.since_best, "model": self.model.state_dict(),
+            "average": self.average.state_dict(), "optimizer": self.optimizer.state_dict(),
+            "numpy": json.dumps(self.rng.bit_generator.state), "torch": torch.get_rng_state(),
+        }  # fmt: skip
+        with write_aside(self.state_path) as aside:
+            torch.save(state, aside)
+
+    def _resume(self) -> None:
+        try:
+            state = torch.load(self.state_path, weights_only=True, map_location=self.device)
+        except Exception as e:
+            raise TrainingError(f"{self.state_path}: cannot be resumed from ({e})") from e
+        mine = json.dumps(self.settings.to_json(), sort_keys=True)
+        if _without_limits(state["settings"]) != _without_limits(mine):
+            raise TrainingError(
+                f"{self.folder}: holds a run with other settings; give another folder, or the same settings"
+            )
+        self.step, self.seconds = state["step"], state["seconds"]
+        self.best, self.since_best = state["best"], state["since_best"]
+        self.model.load_state_dict(state["model"])
+        self.average.load_state_dict(state["average"])
+        self.optimizer.load_state_dict(state["optimizer"])
+        self.rng.bit_generator.state = json.loads(state["numpy"])
+        torch.set_rng_state(state["torch"].cpu())
+        self._cut_log()
+
+    def _cut_log(self) -> None:
+        """Lines of steps after the saved state were written by a run that was killed: redone now."""
+        log = self.folder / "log.jsonl"
+        if log.exists():
+            rows = [line for line in log.read_text().splitlines() if line.endswith("}")]
+            with write_aside(log) as aside:
+                kept = [r for r in rows if json.loads(r)["step"] <= self.step]
+                aside.write_text("".join(r + "\n" for r in kept))
+
+
+def _without_limits(settings: str) -> dict[str, Any]:
+    """Settings that may change when a run goes on are left out: how long it may take."""
+    out: dict[str, Any] = json.loads(settings)
+    for name in ("steps", "minutes", "patience"):
+        out.pop(name)
+    return out

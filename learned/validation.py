@@ -1,0 +1,205 @@
+"""How good a network is on recordings it was not trained on, as it will be used online.
+
+Every emitted frame sees the window that the online runner would show it; figures are those of
+`mocap.metrics` on those frames, in torch so that a whole set takes seconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from learned import kinematics as kin
+from learned import losses
+from learned.features import COMBINATIONS, DIP_JOINTS, dip_target, imuposer_input, imuposer_pose
+from learned.models import Dip, Model
+from learned.networks.dip import Gaussian
+from mocap import orientation as ori
+from mocap.metrics import MASKED
+from mocap.recording import Recording
+from mocap.skeleton import Skeleton
+
+HIPS_SHOULDERS = (1, 2, 16, 17)
+CHUNK = 256  # windows at a time
+
+
+@dataclass(frozen=True)
+class Windowed:
+    """N windows cut from recordings: (N,T,S,...) sensors, and the truth (N,T,24,3,3) of every frame.
+
+    emit: the frame of each window that the network answers for. clip (N,): where it was cut from.
+    """
+
+    R_world_bone: Tensor
+    acc_world: Tensor
+    R_parent_joint: Tensor
+    emit: int
+    clip: np.ndarray
+
+
+def held(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
+    """R_world_bone and acc_world with invalid samples replaced by the last valid ones.
+
+    Before a sensor's first valid sample: identity and zero.
+    """
+    T, S = recording.valid.shape
+    R = np.array(recording.R_world_bone)
+    acc = np.array(recording.acc_world)
+    for values, ok, empty in (
+        (R, recording.ori_valid, np.eye(3)),
+        (acc, recording.acc_valid, np.zeros(3)),
+    ):
+        index = np.where(ok, np.arange(T)[:, None], -1)
+        index = np.maximum.accumulate(index, axis=0)
+        taken = values[np.maximum(index, 0), np.arange(S)]
+        values[...] = np.where((index < 0).reshape(T, S, *[1] * (values.ndim - 2)), empty, taken)
+    return R, acc
+
+
+def cut(recordings: Iterable[Recording], past: int, future: int, stride: int = 1) -> Windowed:
+    """Windows of `past` + 1 + `future` frames around every `stride`-th frame; ends are repeated."""
+    Rs, accs, truths, clips = [], [], [], []
+    for i, recording in enumerate(recordings):
+        assert recording.reference is not None
+        R, acc = held(recording)
+        at = np.arange(0, len(recording), stride)[:, None] + np.arange(-past, future + 1)
+        at = np.clip(at, 0, len(recording) - 1)
+        Rs.append(R[at].astype(np.float32))
+        accs.append(acc[at].astype(np.float32))
+        truths.append(recording.reference.R_parent_joint[at].astype(np.float32))
+        clips.append(np.full(len(at), i))
+    return Windowed(
+        torch.as_tensor(np.concatenate(Rs)),
+        torch.as_tensor(np.concatenate(accs)),
+        torch.as_tensor(np.concatenate(truths)),
+        past,
+        np.concatenate(clips),
+    )
+
+
+def predict(model: Model, windows: Windowed) -> tuple[Tensor, Tensor]:
+    """Local rotations (N,24,3,3) of the emitted frames, and the loss (N / chunk,) of each chunk.
+
+    IMUPoser wears one of its 24 combinations in each window, in turn.
+    """
+    poses, scores = [], []
+    offsets = torch.as_tensor(np.array(Skeleton.default().offsets), dtype=torch.float32)
+    with torch.inference_mode():
+        for i in range(0, len(windows.clip), CHUNK):
+            part = slice(i, i + CHUNK)
+            R, acc = windows.R_world_bone[part], windows.acc_world[part]
+            truth, t = windows.R_parent_joint[part], windows.emit
+            if isinstance(model, Dip):
+                x, target_acc = model.inputs(R, acc)
+                out = model(x)
+                target = model.output_scaler.scale(dip_target(truth))
+                scores.append(losses.dip(out, target, target_acc))
+                at = Gaussian(*(v[:, t] for v in (
+                    out.pose, out.pose_deviation, out.acc, out.acc_deviation)))  # fmt: skip
+                poses.append(model.pose(at, R[:, t, 5]))
+            else:
+                worn = worn_in_turn(i, len(R))
+                y = model(imuposer_input(R, acc, worn))
+                scores.append(losses.imuposer(y, truth, offsets))
+                poses.append(imuposer_pose(y[:, t]))
+    return torch.cat(poses), torch.stack(scores)
+
+
+def worn_in_turn(first: int, count: int) -> Tensor:
+    """(count,5): the combinations first, first + 1, ..., going round the 24."""
+    worn = torch.zeros(count, 5, dtype=torch.bool)
+    for k in range(count):
+        worn[k, list(COMBINATIONS[(first + k) % len(COMBINATIONS)])] = True
+    return worn
+
+
+def figures(poses: Tensor, windows: Windowed) -> dict[str, float]:
+    """sip_deg, angular_deg, position_cm as in `mocap.metrics`: mean over frames, then over clips."""
+    truth = windows.R_parent_joint[:, windows.emit]
+    a, b = (_masked(R) for R in (poses, truth))
+    Ra, Rb = kin.rotations(a), kin.rotations(b)
+    angle = torch.rad2deg(kin.angle_between(Ra, Rb))
+    offsets = torch.as_tensor(np.array(Skeleton.default().offsets), dtype=torch.float32)
+    root = torch.zeros(3)
+    gap = (kin.positions(Ra, root, offsets) - kin.positions(Rb, root, offsets)).norm(dim=-1)
+    out = {
+        "sip_deg": angle[:, list(HIPS_SHOULDERS)].mean(-1),
+        "angular_deg": angle.mean(-1),
+        "position_cm": 100 * gap.mean(-1),
+    }
+    clip = torch.as_tensor(windows.clip)
+    return {
+        name: float(torch.stack([x[clip == c].mean() for c in clip.unique()]).mean())
+        for name, x in out.items()
+    }
+
+
+def _masked(R: Tensor) -> Tensor:
+    R = R.clone()
+    R[:, list(MASKED)] = torch.eye(3)
+    return R
+
+
+def score(model: Model, windows: Windowed) -> dict[str, float]:
+    """The figures and the loss of a model on a set."""
+    was_training = model.training
+    model.eval()
+    poses, losses_ = predict(model, windows)
+    model.train(was_training)
+    return figures(poses, windows) | {"loss": float(losses_.mean())}
+
+
+def calibrate_deviations(model: Model, windows: Windowed) -> None:
+    """Fit the model's deviations to its errors on this set (unit variance per joint; hybrid.md).
+
+    DIP: a scale per joint on the network's own deviation, and the rms error of joints that it does not
+    predict. IMUPoser: the rms error per combination and joint.
+    """
+    model.eval()
+    t = windows.emit
+    truth = windows.R_parent_joint[:, t].double()
+    with torch.inference_mode(False), torch.no_grad():
+        if isinstance(model, Dip):
+            poses, spread = [], []
+            model.deviation_scale.fill_(1.0)
+            for i in range(0, len(truth), CHUNK):
+                part = slice(i, i + CHUNK)
+                R, acc = windows.R_world_bone[part], windows.acc_world[part]
+                out = model(model.inputs(R, acc)[0])
+                at = Gaussian(*(v[:, t] for v in (
+                    out.pose, out.pose_deviation, out.acc, out.acc_deviation)))  # fmt: skip
+                pose = model.pose(at, R[:, t, 5])
+                poses.append(pose)
+                spread.append(model.pose_deviation(at, pose))
+            error = _log(torch.cat(poses).double().mT @ truth)
+            predicted = torch.zeros(24, dtype=torch.bool)
+            predicted[list(DIP_JOINTS)] = True
+            rms = error.square().mean(0).sqrt().float()
+            model.deviation_rad.copy_(torch.where(predicted[:, None], 0.2, rms.clamp_min(1e-3)))
+            z = error.float() / torch.cat(spread)
+            scale = z.square().mean((0, 2)).sqrt()
+            model.deviation_scale.copy_(torch.where(predicted, scale, 1.0))
+        else:
+            for k, combination in enumerate(COMBINATIONS):
+                worn = torch.zeros(5, dtype=torch.bool)
+                worn[list(combination)] = True
+                poses = [
+                    imuposer_pose(
+                        model(imuposer_input(
+                            windows.R_world_bone[i : i + CHUNK],
+                            windows.acc_world[i : i + CHUNK],
+                            worn.expand(len(windows.R_world_bone[i : i + CHUNK]), 5),
+                        ))[:, t]
+                    )
+                    for i in range(0, len(truth), CHUNK)
+                ]  # fmt: skip
+                error = _log(torch.cat(poses).double().mT @ truth)
+                model.deviation_rad[k].copy_(error.square().mean(0).sqrt().clamp_min(1e-3))
+
+
+def _log(R: Tensor) -> Tensor:
+    return torch.as_tensor(ori.log(R.numpy()))
