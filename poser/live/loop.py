@@ -1,0 +1,130 @@
+"""The loop: samples of a source through an estimator into sinks, and how long that takes."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from mocap.estimator import Estimator, Pose
+from mocap.skeleton import SOLE_BELOW_TOE, Skeleton
+from poser.live.latency import Latency
+from poser.live.sinks import Sink
+from poser.live.sources import Source
+
+TOES = [10, 11]
+
+
+@dataclass
+class Report:
+    """What happened. lag: from the moment a pose describes to its delivery; step: the estimator alone.
+
+    samples, frames: fed and delivered. fallbacks: poses that were one, notes: why, counted.
+    """
+
+    samples: int = 0
+    frames: int = 0
+    fallbacks: int = 0
+    notes: Counter[str] = field(default_factory=Counter)
+    lag: Latency = field(default_factory=Latency)
+    step: Latency = field(default_factory=Latency)
+    source: dict[str, Any] = field(default_factory=dict)
+    sinks: dict[str, Any] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "samples": self.samples,
+            "frames": self.frames,
+            "fallbacks": self.fallbacks,
+            "notes": dict(self.notes),
+            **self.lag.to_dict("latency_ms"),
+            **self.step.to_dict("frame_ms"),
+            **self.source,
+            "sinks": self.sinks,
+        }
+
+
+def run(
+    source: Source,
+    estimator: Estimator,
+    sinks: Sequence[Sink],
+    skeleton: Skeleton,
+    report: Report,
+    tell: Callable[[Report], None] = lambda _: None,
+) -> None:
+    """Drive the estimator until the source, which is open, ends.
+
+    `report` is filled as it goes, so that it holds after an interruption too; `close` completes it.
+    tell(report) is called once a poll.
+    """
+    state = estimator.init()
+    floor: float | None = None
+    while not source.ended:
+        for sample in source.poll():
+            began = time.perf_counter()
+            state, pose = estimator.step(state, sample)
+            report.step.add(time.perf_counter() - began)
+            report.samples += 1
+            if pose is None:
+                continue
+            if floor is None:
+                floor = _floor(pose, skeleton)
+            _deliver(_raised(pose, -floor), sinks, source, report)
+        tell(report)
+
+
+def _deliver(pose: Pose, sinks: Sequence[Sink], source: Source, report: Report) -> None:
+    for sink in sinks:
+        sink.write(pose)
+    lag = source.lag_s(pose.time_s)
+    if lag is not None:
+        report.lag.add(lag)
+    report.frames += 1
+    if pose.note:
+        report.fallbacks += 1
+        report.notes[pose.note] += 1
+
+
+def _floor(pose: Pose, skeleton: Skeleton) -> float:
+    """Height in m of the floor under the lower foot: sensors do not tell how high a body is."""
+    _, p = skeleton.forward(pose.R_parent_joint, pose.p_world_root)
+    return float(p[TOES, 1].min()) - SOLE_BELOW_TOE
+
+
+def _raised(pose: Pose, height: float) -> Pose:
+    return replace(pose, p_world_root=pose.p_world_root + np.array([0.0, height, 0.0]))
+
+
+def close(source: Source, sinks: Sequence[Sink], report: Report) -> None:
+    """Close both ends, whatever came before, and complete the report. Ctrl-C waits until it is done."""
+    with _undisturbed():
+        report.source = source.facts()
+        source.close()
+        failed: Exception | None = None
+        for sink in sinks:
+            try:
+                report.sinks[sink.name] = sink.close()
+            except Exception as e:  # the other sinks must still be closed; it is raised below
+                failed = failed or e
+        if failed is not None:
+            raise failed
+
+
+@contextmanager
+def _undisturbed() -> Iterator[None]:
+    """A second Ctrl-C must not lose the file that the first one asked to finish."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)

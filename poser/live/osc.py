@@ -1,0 +1,103 @@
+"""Messages over Open Sound Control, by the library python-osc (extra `live`)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from mocap.errors import PoserError
+from poser.live.packets import (
+    MAX_ACC,
+    MAX_DATAGRAM,
+    MAX_DISTANCES,
+    Packet,
+    Rejected,
+    from_fields,
+)  # fmt: skip
+
+IMU, STATE = "/poser/imu", "/poser/state"
+
+
+def library() -> Any:
+    """The package `pythonosc`; raises PoserError where it is not installed."""
+    try:
+        import pythonosc
+    except ImportError as e:
+        raise PoserError(
+            "OSC and VMC need the package 'python-osc': pip install 'poser-imu[live]'"
+        ) from e
+    return pythonosc
+
+
+def from_osc(datagram: bytes) -> Iterator[Packet | Rejected]:
+    """The packets of a datagram: one message, or bundles of them; other addresses are refused."""
+    from pythonosc.osc_packet import OscPacket
+
+    if len(datagram) > MAX_DATAGRAM:
+        yield Rejected("datagram too long")
+        return
+    try:
+        messages = [
+            (m.message.address, list(m.message.params)) for m in OscPacket(datagram).messages
+        ]
+    # The library promises ParseError, but bytes from the network also find its struct.error, IndexError,
+    # UnicodeDecodeError and RecursionError: whatever it is, this datagram is not OSC.
+    except Exception:
+        yield Rejected("not OSC")
+        return
+    for address, arguments in messages:
+        try:
+            yield _packet(address, arguments)
+        except Rejected as e:
+            yield e
+
+
+def _packet(address: str, arguments: list[Any]) -> Packet:
+    if address == IMU:
+        return from_fields(_imu(arguments))
+    if address == STATE:
+        return from_fields(_state(arguments))
+    raise Rejected("address unknown")
+
+
+def _imu(x: list[Any]) -> dict[str, Any]:
+    if len(x) not in (7, 10):
+        raise Rejected("field missing" if len(x) < 10 else "wrong type")
+    fields = {"device": x[0], "t": x[1], "q": x[3:7]}
+    # OSC has no optional arguments: -1 stands for no number.
+    return fields | ({} if x[2] == -1 else {"seq": x[2]}) | ({"a": x[7:]} if len(x) > 7 else {})
+
+
+def _state(x: list[Any]) -> dict[str, Any]:
+    if len(x) < 4 or len(x) % 2:
+        raise Rejected("field missing")
+    if any(isinstance(flag, bool) or flag not in (0, 1) for flag in x[2:4]):
+        raise Rejected("wrong type")
+    names, metres = x[4::2], x[5::2]
+    if len(names) > MAX_DISTANCES or not all(isinstance(n, str) for n in names):
+        raise Rejected("wrong type")
+    return {
+        "device": x[0], "t": x[1], "screen": bool(x[2]), "proximity": bool(x[3]),
+        "distances": dict(zip(names, metres, strict=True)),
+    }  # fmt: skip
+
+
+def imu_message(packet: Packet) -> bytes:
+    """A packet as a datagram of one OSC message: what a sender has to send."""
+    from pythonosc.osc_message_builder import OscMessageBuilder
+
+    from mocap.orientation import to_quat
+
+    assert packet.R_world_sensor is not None and packet.acc_world is not None
+    message = OscMessageBuilder(IMU)
+    message.add_arg(packet.device, "s")
+    message.add_arg(packet.time_s, "d")
+    message.add_arg(-1 if packet.seq is None else packet.seq, "i")
+    values = to_quat(packet.R_world_sensor).tolist()
+    if np.abs(packet.acc_world).max() <= MAX_ACC:
+        values += packet.acc_world.tolist()
+    for value in values:
+        message.add_arg(value, "f")
+    return bytes(message.build().dgram)

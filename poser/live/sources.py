@@ -1,0 +1,257 @@
+"""Where samples come from: a recording at its own pace, or the network."""
+
+from __future__ import annotations
+
+import select
+import socket
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from typing import Any, Protocol
+
+import numpy as np
+
+from mocap import orientation as ori
+from mocap.calibration import Calibration
+from mocap.errors import PoserError
+from mocap.estimator import Sample, samples
+from mocap.recording import Recording
+from poser.live import alignment
+from poser.live.addresses import Address
+from poser.live.alignment import Constants, PoseWatch, to_sample
+from poser.live.assembler import Assembler, Row
+from poser.live.devices import Tracker
+from poser.live.packets import MAX_DATAGRAM, Packet, Rejected
+
+IDLE_S = 0.002  # the longest wait for something to happen, so that rows leave on time
+DATAGRAMS = 1000  # taken at a time: a flood must not keep rows from leaving
+Decoder = Callable[[bytes], Iterator[Packet | Rejected]]
+Clock = Callable[[], float]
+
+
+class Source(Protocol):
+    """What the loop polls. rate_hz, sensors: of the samples."""
+
+    rate_hz: float
+    sensors: tuple[str, ...]
+
+    def open(self) -> None:
+        """Begin: time counts from here. Raises PoserError where it cannot."""
+        ...
+
+    @property
+    def ended(self) -> bool:
+        """Nothing more will come."""
+        ...
+
+    def poll(self) -> list[Sample]:
+        """The samples that are due, in order; waits a little where there are none."""
+        ...
+
+    def lag_s(self, time_s: float) -> float | None:
+        """How long ago in s the moment was that a sample's time names; None where time means nothing."""
+        ...
+
+    def facts(self) -> dict[str, Any]:
+        """What happened so far, for the report."""
+        ...
+
+    def close(self) -> None: ...
+
+
+class Replay:
+    """The samples of a recording when they are due. speed: 2 is twice as fast, None as fast as asked."""
+
+    def __init__(
+        self,
+        recording: Recording,
+        speed: float | None = 1.0,
+        clock: Clock = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ):
+        self.rate_hz, self.sensors = recording.rate_hz, recording.sensors
+        self._speed, self._clock, self._sleep = speed, clock, sleep
+        self._samples = samples(recording)
+        self._next: Sample | None = next(self._samples)
+        self._first_s = recording.start_s
+        self._began: float | None = None
+
+    def open(self) -> None:
+        self._began = self._clock()
+
+    @property
+    def ended(self) -> bool:
+        return self._next is None
+
+    def poll(self) -> list[Sample]:
+        due: list[Sample] = []
+        if self._speed is None:
+            self._take(due)
+            return due
+        while self._next is not None and self._lag(self._next.time_s) >= 0:
+            self._take(due)
+        if self._next is not None and not due:
+            self._sleep(min(IDLE_S, -self._lag(self._next.time_s)))
+        return due
+
+    def _take(self, due: list[Sample]) -> None:
+        if self._next is not None:
+            due.append(self._next)
+        self._next = next(self._samples, None)
+
+    def _lag(self, time_s: float) -> float:
+        assert self._began is not None and self._speed is not None
+        return self._clock() - self._began - (time_s - self._first_s) / self._speed
+
+    def lag_s(self, time_s: float) -> float | None:
+        return None if self._speed is None or self._began is None else self._lag(time_s)
+
+    def facts(self) -> dict[str, Any]:
+        return {}
+
+    def close(self) -> None:
+        self._samples = iter(())
+
+
+def y_up(decode: Decoder) -> Decoder:
+    """The same messages from senders whose world is z-up: v_yup = R_YUP_ZUP v_zup."""
+
+    def turned(datagram: bytes) -> Iterator[Packet | Rejected]:
+        for found in decode(datagram):
+            if isinstance(found, Packet) and found.R_world_sensor is not None:
+                assert found.acc_world is not None
+                R, acc = ori.R_YUP_ZUP @ found.R_world_sensor, ori.R_YUP_ZUP @ found.acc_world
+                yield replace(found, R_world_sensor=R, acc_world=acc)
+            else:
+                yield found
+
+    return turned
+
+
+class Receiver:
+    """Datagrams of a UDP socket, decoded; refused ones are counted by reason and never stop it."""
+
+    def __init__(self, address: Address, decode: Decoder, clock: Clock = time.monotonic):
+        family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
+        self._socket = socket.socket(family, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        self._address, self._decode, self._clock = address, decode, clock
+        self.rejected: Counter[str] = Counter()
+
+    def open(self) -> None:
+        """Listen. Raises PoserError where the address is taken or is not ours."""
+        try:
+            self._socket.bind((self._address.host, self._address.port))
+        except OSError as e:
+            raise PoserError(f"cannot listen on {self._address}: {e.strerror or e}") from e
+
+    @property
+    def port(self) -> int:
+        return int(self._socket.getsockname()[1])
+
+    def receive(self, wait_s: float) -> Iterator[tuple[Packet, float]]:
+        """Packets with their time of arrival; waits for the first one at most `wait_s`."""
+        select.select([self._socket], [], [], wait_s)
+        for _ in range(DATAGRAMS):
+            try:
+                datagram = self._socket.recv(MAX_DATAGRAM + 1)
+            except BlockingIOError:
+                return
+            except OSError:
+                # Some systems report an earlier send's failure here; it is not about what we receive.
+                self.rejected["receive error"] += 1
+                return
+            arrival = self._clock()
+            for found in self._decode(datagram):
+                if isinstance(found, Rejected):
+                    self.rejected[found.reason] += 1
+                else:
+                    yield found, arrival
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+class Network:
+    """Samples of `sensors` from devices on the network.
+
+    where: the place of each device; a device that is not in it is refused. table: see
+    `alignment.to_sample`. watch: stands between: no sample before it has found the pose, and its
+    calibration is the table then. tracker: tells instead of `where` which devices are worn, and where.
+    seconds: end so long after `open`.
+    """
+
+    def __init__(
+        self,
+        receiver: Receiver,
+        assembler: Assembler,
+        sensors: tuple[str, ...],
+        where: Mapping[str, str],
+        table: Mapping[str, Constants] | None = None,
+        watch: PoseWatch | None = None,
+        tracker: Tracker | None = None,
+        seconds: float | None = None,
+        clock: Clock = time.monotonic,
+    ):
+        self.rate_hz, self.sensors = assembler.rate_hz, sensors
+        self._receiver, self._assembler, self._clock = receiver, assembler, clock
+        self._where, self._table, self._watch = where, table, watch
+        self._tracker = tracker
+        self._seconds, self._end_s = seconds, np.inf
+        self.calibration: Calibration | None = None
+
+    def open(self) -> None:
+        self._receiver.open()
+        if self._seconds is not None:
+            self._end_s = self._clock() + self._seconds
+
+    @property
+    def ended(self) -> bool:
+        return self._clock() >= self._end_s
+
+    def poll(self) -> list[Sample]:
+        for packet, arrival in self._receiver.receive(IDLE_S):
+            if packet.device not in self._assembler.devices:
+                self._receiver.rejected["device unknown"] += 1
+                continue
+            if self._tracker is not None and packet.status is not None:
+                self._tracker.hear(packet.device, packet.status)
+            if packet.R_world_sensor is not None:
+                self._assembler.push(packet, arrival)
+        rows = self._assembler.pull(self._clock())
+        return [s for s in map(self._sample, rows) if s is not None]
+
+    def _sample(self, row: Row) -> Sample | None:
+        if self._watch is not None:
+            self.calibration = self._watch.push(row)
+            if self.calibration is None:
+                return None
+            self._table, self._watch = alignment.constants(self.calibration), None
+        where = self._where
+        if self._tracker is not None:
+            where = self._tracker.step(row, self._assembler.devices)
+        return to_sample(row, self._assembler.devices, where, self.sensors, self._table)
+
+    @property
+    def waiting(self) -> bool:
+        """Whether the pose has not been found yet."""
+        return self._watch is not None
+
+    def lag_s(self, time_s: float) -> float | None:
+        start = self._assembler.start_s
+        return None if start is None else self._clock() - start - time_s
+
+    def facts(self) -> dict[str, Any]:
+        out: dict[str, Any] = {
+            "rejected": dict(sorted(self._receiver.rejected.items())),
+            "skipped_frames": self._assembler.skipped,
+            "devices": {n: c.to_dict() for n, c in self._assembler.counts.items()},
+        }
+        if self._tracker is not None:
+            out["places"] = dict(self._tracker.where)
+            out["place_changes"] = self._tracker.changes
+        return out
+
+    def close(self) -> None:
+        self._receiver.close()
