@@ -212,29 +212,47 @@ class Assembler:
         t = self._time(k)
         R, acc = np.full((D, 3, 3), np.nan), np.full((D, 3), np.nan)
         valid = np.zeros(D, bool)
+        between: list[tuple[int, _Kept, _Kept, float]] = []
         for d, stream in enumerate(self._streams.values()):
-            found = self._at(stream, t)
-            if found is None:
+            before, after, at = stream.around(t)
+            pair = self._pair(before, after, at)
+            if pair is None:
                 stream.counts.silent_rows += 1
             else:
-                R[d], acc[d] = found
-                valid[d] = True
+                between.append((d, *pair))
             stream.forget_before(t - REMEMBER_S)
+        if between:
+            used = [d for d, *_ in between]
+            R[used], acc[used] = _interpolated(between)
+            valid[used] = True
         self._next += 1
         return Row(k / self.rate_hz, R, acc, valid)
 
-    def _at(self, stream: _Stream, local_s: float) -> tuple[Array, Array] | None:
-        before, after, t = stream.around(local_s)
-        if before is not None and abs(before.time_s - t) < SAME_S:
-            return before.R, before.acc
+    def _pair(
+        self, before: _Kept | None, after: _Kept | None, at: float
+    ) -> tuple[_Kept, _Kept, float] | None:
+        """Two packets and the share of the second one at the device's time `at`; None: invalid."""
+        if before is not None and abs(before.time_s - at) < SAME_S:
+            return before, before, 0.0
         if before is not None and after is not None:
             gap = after.time_s - before.time_s
             if gap <= self.max_gap_s:
-                share = (t - before.time_s) / gap
-                R = before.R @ ori.exp(share * ori.log(before.R.T @ after.R))
-                return R, (1 - share) * before.acc + share * after.acc
+                return before, after, (at - before.time_s) / gap
         near = [p for p in (before, after) if p is not None]
-        nearest = min(near, key=lambda p: abs(p.time_s - t), default=None)
-        if nearest is None or abs(nearest.time_s - t) > 1.0 / self.rate_hz:
+        nearest = min(near, key=lambda p: abs(p.time_s - at), default=None)
+        if nearest is None or abs(nearest.time_s - at) > 1.0 / self.rate_hz:
             return None
-        return nearest.R, nearest.acc
+        return nearest, nearest, 0.0
+
+
+def _interpolated(between: list[tuple[int, _Kept, _Kept, float]]) -> tuple[Array, Array]:
+    """R (N,3,3) and acc (N,3) at the shares of N pairs of packets."""
+    R0, a0 = np.array([p.R for _, p, _, _ in between]), np.array([p.acc for _, p, _, _ in between])
+    R1, a1 = np.array([p.R for _, _, p, _ in between]), np.array([p.acc for _, _, p, _ in between])
+    share = np.array([pair[3] for pair in between])[:, None]
+    R = np.array(R0)
+    moved = share[:, 0] > 0
+    if moved.any():
+        turn = ori.log(np.swapaxes(R0[moved], -1, -2) @ R1[moved])
+        R[moved] = R0[moved] @ ori.exp(share[moved] * turn)
+    return R, np.where(moved[:, None], (1 - share) * a0 + share * a1, a0)

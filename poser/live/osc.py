@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,13 +31,22 @@ def library() -> Any:
         raise PoserError(
             "OSC and VMC need the package 'python-osc': pip install 'poser-imu[live]'"
         ) from e
+    _quiet()
     return pythonosc
+
+
+@cache
+def _quiet() -> None:
+    """The library logs bytes of malformed datagrams on the root logger, and so on the user's terminal."""
+    root = logging.getLogger()
+    root.addFilter(lambda record: "pythonosc" not in Path(record.pathname).parts)
 
 
 def from_osc(datagram: bytes) -> Iterator[Packet | Rejected]:
     """The packets of a datagram: one message, or bundles of them; other addresses are refused."""
     from pythonosc.osc_packet import OscPacket
 
+    _quiet()
     if len(datagram) > MAX_DATAGRAM:
         yield Rejected("datagram too long")
         return
@@ -45,8 +57,9 @@ def from_osc(datagram: bytes) -> Iterator[Packet | Rejected]:
     # The library promises ParseError, but bytes from the network also find its struct.error, IndexError,
     # UnicodeDecodeError and RecursionError: whatever it is, this datagram is not OSC.
     except Exception:
+        messages = []
+    if not messages:
         yield Rejected("not OSC")
-        return
     for address, arguments in messages:
         try:
             yield _packet(address, arguments)

@@ -25,6 +25,7 @@ from poser.live.devices import Tracker
 from poser.live.packets import MAX_DATAGRAM, Packet, Rejected
 
 IDLE_S = 0.002  # the longest wait for something to happen, so that rows leave on time
+SOON_S = 1e-6  # a sample this near its time is due: sleeping for less is no sleep
 DATAGRAMS = 1000  # taken at a time: a flood must not keep rows from leaving
 Decoder = Callable[[bytes], Iterator[Packet | Rejected]]
 Clock = Callable[[], float]
@@ -89,7 +90,7 @@ class Replay:
         if self._speed is None:
             self._take(due)
             return due
-        while self._next is not None and self._lag(self._next.time_s) >= 0:
+        while self._next is not None and self._lag(self._next.time_s) > -SOON_S:
             self._take(due)
         if self._next is not None and not due:
             self._sleep(min(IDLE_S, -self._lag(self._next.time_s)))
