@@ -6,10 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mocap.errors import SolveError
 from mocap.orientation import Array
-from sip.band import Band, Factor, NotPositiveDefinite
+from sip.band import Band, Factor, NotPositiveDefinite, factored
+from sip.box import Box, bounded_step, reduced
 from sip.kinematics import ROOT_W, recentre
 from sip.problem import CONSTANTS, Problem
 from sip.terms.base import Point
@@ -20,12 +22,15 @@ _NOTHING = 1e-12  # a diagonal entry below this: nothing measures the unknown
 # Damping is in units of steps, not of the Hessian's diagonal: that one is ruled by rate^2/sigma_acc and
 # would freeze slow drifts of the root, which accelerations hardly see.
 _STEP_ROOT, _STEP_ANGLE = 1.0, 0.2  # m, rad
+_SLOW = 3  # steps in a row that bring too little
 _BEND_LIMIT = 0.75  # a path that bends more than this, relative to its length, is not trusted
 
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """Where a solver ended: the point with Jacobians, iterations, why it stopped, max |gradient|."""
+    """Where a solver ended: the point with Jacobians, iterations, the rule that ended it in words, the
+    largest gradient in sigmas (`scaled_norm`).
+    """
 
     point: Point
     iterations: int
@@ -61,6 +66,33 @@ def _bend(
     return 0.5 * ax, 0.5 * (au.reshape(-1, CONSTANTS) if len(au) else np.zeros_like(point.u))
 
 
+@dataclass(frozen=True)
+class _Promise:
+    """What the whole Gauss-Newton step, without damping, promises: g H^-1 g / 2 of the cost, and how far
+    it turns any joint, rad. Unknowns that a bound holds stay where they are.
+
+    The gradient alone says little here: directions differ a million times in how well they are known.
+    """
+
+    share: float
+    turn: float
+
+    def __str__(self) -> str:
+        return (
+            f"a full step promises {100 * self.share:.2g} % of the cost, "
+            f"turning joints by {np.rad2deg(self.turn):.2g} deg at most"
+        )
+
+
+def _promise(
+    problem: Problem, band: Band, grad: Array, grad_u: Array, free: NDArray[np.bool_], cost: float
+) -> _Promise:
+    dx, du = factored(band if free.all() else reduced(band, free)).solve(-grad, -grad_u)
+    share = -0.5 * float(np.vdot(grad, dx) + grad_u @ du) / max(cost, _NOTHING)
+    turn = np.linalg.norm(dx[problem.fixed :, 3:].reshape(-1, 3), axis=1).max(initial=0.0)
+    return _Promise(share, float(turn))
+
+
 def minimise(
     problem: Problem,
     x: Array,
@@ -69,17 +101,20 @@ def minimise(
     max_iterations: int | None = None,
     tolerance: float | None = None,
     progress: Progress | None = None,
+    box: Box | None = None,
 ) -> Result:
-    """Minimise the cost from x (T,n), R_ref (T,3,3), u (S,7).
+    """Minimise the cost from x (T,n), R_ref (T,3,3), u (S,7); with a box, among the x inside it.
 
     Each iteration solves (H + lambda D) d = -g, D fixed, H the Gauss-Newton matrix. A step is taken when the
-    true cost falls; lambda follows the ratio of actual to predicted decrease (Nielsen's rule). It ends
-    when a step promises or brings a relative decrease below `tolerance`, or at max_iterations.
+    true cost falls; lambda follows the ratio of actual to predicted decrease (Nielsen's rule). It has
+    converged when a step brings, or no step can bring, a relative decrease of `tolerance`, and the whole step
+    without damping promises less than that too. It stops without having converged at max_iterations, after
+    three steps that bring less although more is promised, or when every promised decrease fails to come.
     Raises SolveError where no finite cost can be had.
     """
     max_iterations = max_iterations or problem.settings.max_iterations
     tolerance = tolerance or problem.settings.tolerance
-    x, R_ref = recentre(x, R_ref)
+    x, R_ref = recentre(x if box is None else box.clip(x), R_ref)
     point = problem.point(x, R_ref, u)
     cost = problem.cost(point)
     if not np.isfinite(cost):
@@ -87,34 +122,42 @@ def minimise(
     step = np.r_[np.full(3, _STEP_ROOT), np.full(problem.n - 3, _STEP_ANGLE)]
     damping: float = 1e-1
     growth = 2.0
-    status, converged, iteration = "stopped at the iteration limit", False, 0
+    iteration, slow, stuck = 0, 0, False
+    everything = np.ones(x.shape, bool)
     while True:
         band = problem.hessian(point)
         grad, grad_u = problem.gradient(point)
-        norm = scaled_norm(grad, grad_u, band)
-        if iteration >= max_iterations or converged:
-            break
+        free = everything if box is None else box.free(x, grad)
+        if slow or stuck or iteration >= max_iterations:
+            promise = _promise(problem, band, np.where(free, grad, 0), grad_u, free, cost)
+            converged = promise.share <= tolerance
+            if converged or stuck or slow >= _SLOW or iteration >= max_iterations:
+                break
         trial = None
         while trial is None and damping < _LAMBDA_MAX:
+            D, settled, factor = damping / step**2, True, None
             try:
-                factor = Factor(band, damping / step**2, damping)
+                if box is None:
+                    factor = Factor(band, D, damping)
+                    dx, du_flat = factor.solve(-grad, -grad_u)
+                else:
+                    dx, du_flat, settled = bounded_step(band, grad, grad_u, D, damping, x, box)
             except NotPositiveDefinite:
                 damping, growth = damping * growth, growth * 2
                 continue
-            dx, du_flat = factor.solve(-grad, -grad_u)
             Hx, Hu = band.dot(dx, du_flat)
             predicted = -(np.vdot(grad, dx) + grad_u @ du_flat)
             predicted -= 0.5 * (np.vdot(dx, Hx) + du_flat @ Hu)
-            if predicted <= tolerance * cost * 0.01:
-                status, converged = "converged: no step lowers the cost", True
+            if settled and predicted <= tolerance * cost * 0.01:
                 break
             du = du_flat.reshape(-1, CONSTANTS) if len(du_flat) else np.zeros_like(u)
-            ax, au = _bend(problem, point, dx, du, factor)
-            if np.linalg.norm(ax / step) <= _BEND_LIMIT * np.linalg.norm(dx / step):
-                dx, du = dx + ax, du + au
+            if factor is not None:
+                ax, au = _bend(problem, point, dx, du, factor)
+                if np.linalg.norm(ax / step) <= _BEND_LIMIT * np.linalg.norm(dx / step):
+                    dx, du = dx + ax, du + au
             trial = problem.point(x + dx, R_ref, u + du)
             new = problem.cost(trial)
-            gain = (cost - new) / predicted if np.isfinite(new) else -1.0
+            gain = (cost - new) / predicted if np.isfinite(new) and predicted > 0 else -1.0
             if gain > 1e-4:
                 damping = max(damping * max(1 / 10, 1 - (2 * float(gain) - 1) ** 3), 1e-9)
                 growth = 2.0
@@ -122,17 +165,23 @@ def minimise(
                 trial = None
                 damping, growth = damping * growth, growth * 2
         if trial is None:
-            if not converged:
-                status = "stalled: no step lowers the cost"
-            break
+            stuck = True
+            continue
         iteration += 1
-        decrease = (cost - new) / max(cost, 1e-300)
+        slow = slow + 1 if cost - new < tolerance * cost else 0
         cost, u, x, point = new, trial.u, trial.x, trial
         if np.abs(x[:, ROOT_W]).max() > 1e-6:
             x, R_ref = recentre(x, R_ref)
             point = problem.point(x, R_ref, u)
         if progress:
             progress(iteration, cost)
-        if decrease < tolerance:
-            status, converged = f"converged: cost falls by less than {tolerance:g}", True
-    return Result(point, iteration, status, converged, norm)
+    if converged:
+        rule = "converged"
+    elif iteration >= max_iterations:
+        rule = f"stopped at the limit of {max_iterations} iterations"
+    elif stuck:
+        rule = "stalled where no step lowers the cost"
+    else:
+        rule = f"stopped after {_SLOW} steps that each lowered the cost by less than {tolerance:g}"
+    norm = scaled_norm(np.where(free, grad, 0), grad_u, band)
+    return Result(point, iteration, f"{rule}: {promise}", converged, norm)

@@ -14,12 +14,12 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from scipy.sparse import csc_matrix
 
 from mocap.errors import SolveError
 from mocap.orientation import Array
 from sip.band import Band
 from sip.banded import Progress, Result, scaled_norm
-from sip.kinematics import BODY
 from sip.problem import CONSTANTS, Problem
 from sip.terms.base import Point
 
@@ -144,7 +144,8 @@ class _Triangle:
         T, k, f, g, N = problem.T, problem.reach, problem.fixed, problem.border, problem.n
         F = T - f
         rows, cols, take = [], [], []
-        for d in range(k + 1):
+        self.sparsity = ca.Sparsity(F * N, F * N)
+        for d in range(min(k, F - 1) + 1):
             # Constant terms touch what they touch; accelerations couple all within two frames, the root's
             # smoothness only the root.
             used = (problem._constant.blocks[:, d] != 0).any(axis=0)
@@ -157,6 +158,10 @@ class _Triangle:
             rows.append(((t[:, None] - f) * N + j).ravel())
             cols.append(((t[:, None] + d - f) * N + i).ravel())
             take.append((((t[:, None] * (k + 1) + d) * N + i) * N + j).ravel())
+            # The pattern is made of small ones: millions of indices take seconds to pass to CasADi.
+            frames = ca.Sparsity.triplet(F, F, list(range(F - d)), list(range(d, F)))
+            block = ca.Sparsity.triplet(N, N, j.tolist(), i.tolist())
+            self.sparsity += ca.kron(frames, block)
         row, col, self.index = (np.concatenate(a) for a in (rows, cols, take))
         self.f, self.g = f, g
         self.corner = np.triu_indices(g)
@@ -164,10 +169,14 @@ class _Triangle:
             r, c = np.meshgrid(np.arange(F * N), F * N + np.arange(g), indexing="ij")
             row = np.concatenate([row, r.ravel(), F * N + self.corner[0]])
             col = np.concatenate([col, c.ravel(), F * N + self.corner[1]])
-        self.order = np.lexsort((row, col))
+            wide = ca.horzcat(self.sparsity, ca.Sparsity.dense(F * N, g))
+            last = ca.horzcat(ca.Sparsity(g, F * N), ca.Sparsity.upper(g))
+            self.sparsity = ca.vertcat(wide, last)
         n = F * N + g
-        colind = np.searchsorted(col[self.order], np.arange(n + 1))
-        self.sparsity = ca.Sparsity(n, n, colind.tolist(), row[self.order].tolist())
+        # Sorting by columns, then rows; linear in the number of entries.
+        ordered = csc_matrix((np.arange(len(row)), (row, col)), shape=(n, n))
+        ordered.sort_indices()
+        self.order = ordered.data
         self.unscale = (1 / (scale[row] * scale[col]))[self.order]
 
     def gather(self, band: Band) -> Array:
@@ -187,6 +196,7 @@ def _options(warm: bool, max_iterations: int, tolerance: float) -> dict[str, Any
         "acceptable_tol": 10 * tolerance,
         "acceptable_iter": 3,
         "linear_solver": "mumps",
+        "mumps_pivot_order": 0,
         "mumps_mem_percent": 100,
         "nlp_scaling_method": "none",
         "mu_strategy": "adaptive" if not warm else "monotone",
@@ -197,14 +207,27 @@ def _options(warm: bool, max_iterations: int, tolerance: float) -> dict[str, Any
         ipopt |= {
             "mu_init": tolerance**2,
             "warm_start_init_point": "yes",
-            "warm_start_bound_push": 1e-6,
-            "warm_start_bound_frac": 1e-6,
-            "warm_start_slack_bound_push": 1e-6,
-            "warm_start_slack_bound_frac": 1e-6,
-            "warm_start_mult_bound_push": 1e-8,
+            "warm_start_bound_push": 1e-16,
+            "warm_start_bound_frac": 1e-16,
+            "warm_start_mult_bound_push": 1e-16,
         }
     plain = {"print_time": False, "error_on_fail": False, "no_nlp_grad": True, "calc_lam_p": False}
     return {"ipopt": ipopt, **plain}
+
+
+def _central(z: Array, slope: Array, lower: Array, upper: Array, mu: float) -> tuple[Array, Array]:
+    """The point near z on the barrier's central path, and the bounds' multipliers there.
+
+    On the path slack * multiplier = mu and the multiplier balances the slope of the cost: at an active
+    bound the slack is mu / slope (at most sqrt(mu), where there is next to none), elsewhere the multiplier is
+    mu / slack. A start on the bounds themselves would let IPOPT take tiny steps only.
+    """
+    pushed = np.sqrt(mu)
+    below = np.minimum(mu / np.maximum(slope, pushed), (upper - lower) / 2)
+    above = np.minimum(mu / np.maximum(-slope, pushed), (upper - lower) / 2)
+    z = np.clip(z, lower + below, upper - above)
+    at_lower = z - lower < upper - z
+    return z, np.where(at_lower, -mu / (z - lower), mu / (upper - z))
 
 
 def minimise(
@@ -223,8 +246,8 @@ def minimise(
     cost. KeyboardInterrupt and errors inside the
     oracles are raised from here.
     """
-    lower, upper = np.full((problem.T, problem.n), -np.inf), np.full((problem.T, problem.n), np.inf)
-    lower[:, BODY], upper[:, BODY] = problem.prior.lower, problem.prior.upper
+    box = problem.box
+    lower, upper = box.lower, box.upper
     oracle = _Oracle(problem, problem.point(np.clip(x, lower, upper), R_ref, u))
     triangle = _Triangle(problem, oracle.scale)
     size = len(oracle.scale)
@@ -252,17 +275,21 @@ def minimise(
     g_cb = _Callback("grad_f", oracle, [vector, none], [scalar, vector], grad_f)
     h_cb = _Callback("hess_lag", oracle, [vector, none, scalar, none], [triangle.sparsity], hess)
     z = ca.MX.sym("z", size)
-    options = _options(warm, max_iterations, np.sqrt(problem.settings.tolerance))
+    tolerance = np.sqrt(problem.settings.tolerance)
     solver = ca.nlpsol(
-        "sip", "ipopt", {"x": z, "f": f_cb(z)}, options | {"grad_f": g_cb, "hess_lag": h_cb}
-    )
+        "sip", "ipopt", {"x": z, "f": f_cb(z)},
+        _options(warm, max_iterations, tolerance) | {"grad_f": g_cb, "hess_lag": h_cb},
+    )  # fmt: skip
     free = np.full(problem.border, np.inf)
+    lbx, ubx = oracle.join(lower, -free), oracle.join(upper, free)
+    start = oracle.join(oracle.x0, u.ravel()[: problem.border])
+    multipliers = np.zeros(size)
+    if warm:
+        g, gu = problem.gradient(oracle.at(start, True))
+        slope = np.r_[g[problem.fixed :].ravel(), gu] / oracle.scale
+        start, multipliers = _central(start, slope, lbx, ubx, tolerance**2)
     with _interruptible(oracle):
-        out = solver(
-            x0=oracle.join(oracle.x0, u.ravel()[: problem.border]),
-            lbx=oracle.join(lower, -free),
-            ubx=oracle.join(upper, free),
-        )
+        out = solver(x0=start, lam_x0=multipliers, lbx=lbx, ubx=ubx)
     if oracle.interrupted is not None:
         raise oracle.interrupted
     stats = solver.stats()

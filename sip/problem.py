@@ -19,6 +19,7 @@ from mocap.recording import Recording
 from mocap.skeleton import Skeleton
 from sip import kinematics as kin
 from sip.band import Band
+from sip.box import Box
 from sip.prior import Conditioned
 from sip.settings import Settings
 from sip.terms.acceleration import Acceleration
@@ -151,6 +152,15 @@ class Problem:
     def border(self) -> int:
         """Number of unknowns that live through the whole sequence."""
         return CONSTANTS * self.S if self.settings.self_calibration else 0
+
+    @cached_property
+    def box(self) -> Box:
+        """The joint limits as bounds; what is given is not bounded."""
+        lower = np.full((self.T, self.n), -np.inf)
+        upper = np.full((self.T, self.n), np.inf)
+        lower[self.fixed :, kin.BODY] = self.prior.lower
+        upper[self.fixed :, kin.BODY] = self.prior.upper
+        return Box(lower, upper)
 
     @cached_property
     def reach(self) -> int:

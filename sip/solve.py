@@ -20,7 +20,7 @@ from mocap.skeleton import Skeleton
 from mocap.solution import Solution
 from sip import banded, initial, ipopt
 from sip import kinematics as kin
-from sip.band import Band, Factor, NotPositiveDefinite
+from sip.band import factored
 from sip.banded import Result
 from sip.kinematics import BODY, ROOT_P, ROOT_W
 from sip.prior import Conditioned
@@ -159,9 +159,14 @@ def _solve_window(
             )
             iterations += result.iterations
         if settings.solver == "ipopt":
+            # IPOPT's barrier starts well from a point that is optimal within the bounds, and only from one.
+            p = result.point
+            teller = _teller(tell, 0.7, 0.8, "banded, hard limits")
+            result = banded.minimise(problem, p.x, p.R_ref, p.u, progress=teller, box=problem.box)
+            iterations += result.iterations
             p = result.point
             result = ipopt.minimise(
-                problem, p.x, p.R_ref, p.u, True, progress=_teller(tell, 0.7, 1, "IPOPT finish")
+                problem, p.x, p.R_ref, p.u, True, progress=_teller(tell, 0.8, 1, "IPOPT finish")
             )
             iterations += result.iterations
     return _part(problem, settings, window, result, iterations)
@@ -248,7 +253,7 @@ def _part(
     flat = {k: v[0] if len(v) == 1 else np.concatenate(v, axis=1) for k, v in residuals.items()}
     std = u_std = None
     if settings.uncertainty or settings.self_calibration:
-        factor = _posterior(problem.hessian(p))
+        factor = factored(problem.hessian(p))
         if settings.self_calibration:
             # The corner of the inverse is the inverse of the Schur complement.
             variance = np.diag(factor.corner_inverse()).reshape(-1, CONSTANTS)
@@ -262,20 +267,6 @@ def _part(
         window, p.x[f:], p.R_ref[f:], p.u, u_std, costs, flat, iterations,
         result.status, result.converged, result.gradient_norm, std,
     )  # fmt: skip
-
-
-def _posterior(band: Band) -> Factor:
-    """Factor of the Gauss-Newton matrix, with as little damping as lets rounding pass.
-
-    At 1000 Hz accelerations know some directions 1e8 times better than the gauge knows the place.
-    """
-    largest = float(band.diagonal.max())
-    for damping in (1e-12, *(largest * 10.0**e for e in range(-16, -9))):
-        try:
-            return Factor(band, damping, damping)
-        except NotPositiveDefinite:
-            continue
-    raise SolveError("no standard deviations: the Gauss-Newton matrix is not positive definite")
 
 
 def _seam(a: _Part, b: _Part) -> float:
