@@ -6,15 +6,20 @@ equals the batch form of the same estimator; a state can be saved and resumed.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.errors import PoserError
+from mocap.motion import Motion
 from mocap.orientation import Array
 from mocap.recording import Recording
+from mocap.skeleton import Skeleton
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,4 +71,86 @@ def samples(recording: Recording) -> Iterator[Sample]:
             recording.R_world_bone[t],
             recording.acc_world[t],
             recording.valid[t],
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """A recording run through an estimator.
+
+    motion: as many frames as the recording has, aligned in time whatever the look-ahead. frame_s (T,):
+    seconds of each sample's step. std_rad (T,24,3), where every pose has it. notes: why poses are
+    fallbacks, counted.
+    """
+
+    motion: Motion
+    frame_s: Array
+    std_rad: Array | None
+    notes: Counter[str]
+
+    @property
+    def fallbacks(self) -> int:
+        """Poses that are a fallback."""
+        return self.notes.total()
+
+
+def replay(
+    estimator: Estimator,
+    recording: Recording,
+    progress: Callable[[float], None] | None = None,
+    skeleton: Skeleton | None = None,
+) -> Replay:
+    """Every row of a recording through `estimator`; at the end samples in which nothing is valid follow,
+    as many as the look-ahead, so that the last frames get their poses.
+
+    The recording runs at the estimator's rate and holds its sensors (others are left out). skeleton: the
+    body of the motion (default: the table's). progress: is told the share that is done. Raises SensorError
+    for a sensor that is missing, PoserError where the rates differ or a pose does not come.
+    """
+    if abs(recording.rate_hz - estimator.rate_hz) > 1e-6 * recording.rate_hz:
+        raise PoserError(
+            f"the recording runs at {recording.rate_hz:g} Hz, the estimator at {estimator.rate_hz:g} Hz"
+        )
+    recording = recording.select(estimator.sensors)
+    T = len(recording)
+    poses: list[Pose] = []
+    frame_s = []
+    state = estimator.init()
+    for k, sample in enumerate(_and_then_nothing(recording, estimator.look_ahead_frames)):
+        began = time.perf_counter()
+        state, pose = estimator.step(state, sample)
+        frame_s.append(time.perf_counter() - began)
+        if pose is not None:
+            poses.append(pose)
+        if progress:
+            progress(min(1.0, (k + 1) / T))
+    if len(poses) != T:
+        raise PoserError(f"{len(poses)} poses came of {T} frames")
+    motion = Motion(
+        recording.rate_hz,
+        np.stack([p.R_parent_joint for p in poses]),
+        np.stack([p.p_world_root for p in poses]),
+        skeleton or Skeleton.default(),
+    )
+    std = [p.std_rad for p in poses if p.std_rad is not None]
+    return Replay(
+        motion,
+        np.array(frame_s[:T]),
+        np.stack(std) if len(std) == T else None,
+        Counter(p.note for p in poses if p.note),
+    )
+
+
+def _and_then_nothing(recording: Recording, count: int) -> Iterator[Sample]:
+    """The rows, then `count` samples in which nothing is valid."""
+    sample = None
+    for sample in samples(recording):
+        yield sample
+    assert sample is not None
+    for k in range(count):
+        yield Sample(
+            sample.time_s + (k + 1) / recording.rate_hz,
+            np.full_like(sample.R_world_bone, np.nan),
+            np.full_like(sample.acc_world, np.nan),
+            np.zeros_like(sample.valid),
         )

@@ -1,0 +1,164 @@
+"""A network behind `mocap.estimator.Estimator`: samples at any rate in, one pose per sample out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from learned.online import resampling
+from learned.online.intake import Held, take
+from mocap import orientation as ori
+from mocap.errors import ShapeError
+from mocap.estimator import Pose, Sample
+from mocap.motion import check_rate
+from mocap.orientation import Array
+from mocap.skeleton import SOLE_BELOW_TOE, TABLE_STATURE, Skeleton
+
+TOES = (10, 11)
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """A network's pose: R_parent_joint (24,3,3), std_rad (24,3), and why it is a fallback, if it is."""
+
+    R_parent_joint: Array
+    std_rad: Array
+    note: str = ""
+
+
+class Network(Protocol):
+    """Frames at `rate_hz` in, the pose of `future` frames ago out.
+
+    tick(state, R_world_bone (S,3,3), acc_world (S,3), present (S,), jumped): `state` None starts.
+    """
+
+    rate_hz: float
+    sensors: tuple[str, ...]
+    future: int
+
+    def tick(
+        self, state: Any, R: Array, acc: Array, present: NDArray[np.bool_], jumped: bool
+    ) -> tuple[Any, Answer | None]: ...
+
+
+@dataclass(frozen=True, eq=False)
+class OnlineState:
+    """All that one step hands to the next; plain arrays, pickle it to resume later.
+
+    network: the network's state. ticks: frames it has had. recent: the samples that the next tick needs.
+    waiting: our time and the stamp of the samples whose poses are due. answers: the network's poses, time
+    on our clock first, that these lie between.
+    """
+
+    network: Any = None
+    ticks: int = 0
+    recent: tuple[Held, ...] = ()
+    waiting: tuple[tuple[float, float], ...] = ()
+    answers: tuple[tuple[float, Answer], ...] = ()
+
+
+class Online:
+    """The estimator. The pelvis stays at the height of the standing body: networks tell no translation.
+
+    Raises ShapeError for a rate outside 1 to 10,000 Hz.
+    """
+
+    def __init__(self, network: Network, rate_hz: float, skeleton: Skeleton | None = None) -> None:
+        self.network = network
+        self.rate_hz = check_rate(rate_hz, "Online")
+        self.sensors = network.sensors
+        self.look_ahead_frames = resampling.look_ahead(
+            self.rate_hz, network.rate_hz, network.future
+        )
+        self.p_world_root = standing(skeleton or Skeleton.default())
+        self._equal = resampling.equal(self.rate_hz, network.rate_hz)
+        self._reach = 0.0 if self._equal else resampling.reach_s(self.rate_hz, network.rate_hz)
+
+    def init(self) -> OnlineState:
+        """A fresh state."""
+        return OnlineState()
+
+    def step(self, state: OnlineState, sample: Sample) -> tuple[OnlineState, Pose | None]:
+        """Feed one sample; the pose of `look_ahead_frames` ago, or None before the first."""
+        if np.shape(sample.valid) != (len(self.sensors),):
+            raise ShapeError(f"a sample must hold {len(self.sensors)} sensors: {self.sensors}")
+        held = take(state.recent[-1] if state.recent else None, sample, self.rate_hz)
+        waiting = (*state.waiting, (held.time_s, held.stamp_s))
+        if self._equal:
+            state = replace(state, recent=(held,), waiting=waiting)
+            R, acc = held.R_world_bone, held.acc_world
+            state = self._tick(state, R, acc, held.present, held.jumped, held.time_s)
+        else:
+            state = replace(state, recent=(*state.recent, held), waiting=waiting)
+            state = self._resampled(state)
+        if len(waiting) <= self.look_ahead_frames:
+            return state, None
+        now, stamp = waiting[0]
+        pose = self._between(state.answers, now, stamp)
+        # Of the answers, those before the last one at or before the next pose's time have done their duty.
+        next_s = waiting[1][0] if len(waiting) > 1 else np.inf
+        past = sum(1 for t, _ in state.answers if t <= next_s)
+        answers = state.answers[max(0, past - 1) :] if not self._equal else state.answers[1:]
+        return replace(state, waiting=waiting[1:], answers=answers), pose
+
+    def _resampled(self, state: OnlineState) -> OnlineState:
+        """Every tick that is due."""
+        reach = self._reach
+        while True:
+            tick_s = state.ticks / self.network.rate_hz
+            recent = resampling.needed(state.recent, tick_s, reach)
+            state = replace(state, recent=recent)
+            if not resampling.due(recent, tick_s, reach):
+                return state
+            R, acc = resampling.at_tick(recent, tick_s, reach)
+            present = resampling.present_at(recent, tick_s)
+            begin = tick_s - 1 / self.network.rate_hz
+            jumped = any(h.jumped for h in recent if begin < h.time_s <= tick_s)
+            state = self._tick(state, R, acc, present, jumped, tick_s)
+
+    def _tick(
+        self,
+        state: OnlineState,
+        R: Array,
+        acc: Array,
+        present: NDArray[np.bool_],
+        jumped: bool,
+        time_s: float,
+    ) -> OnlineState:
+        network, answer = self.network.tick(state.network, R, acc, present, jumped)
+        answers = state.answers
+        if answer is not None:
+            late = self.network.future / self.network.rate_hz
+            # At equal rates poses are matched to samples by count, and this time is not looked at.
+            answers = (*answers, (time_s - late, answer))
+        return replace(state, network=network, ticks=state.ticks + 1, answers=answers)
+
+    def _between(self, answers: tuple[tuple[float, Answer], ...], now: float, stamp: float) -> Pose:
+        """The pose at time `now`, geodesically between the network's; outside them the ends hold."""
+        if not answers:  # samples came faster than their rate
+            rest = np.tile(np.eye(3), (24, 1, 1))
+            return Pose(stamp, rest, self.p_world_root, None, "no pose yet")
+        times = np.array([t for t, _ in answers])
+        k = 0 if self._equal else int(np.clip(np.searchsorted(times, now, "right") - 1, 0, None))
+        first = answers[k][1]
+        if self._equal or k + 1 >= len(answers) or times[k] >= now:
+            R, std = first.R_parent_joint, first.std_rad
+        else:
+            second = answers[k + 1][1]
+            pair = np.stack([first.R_parent_joint, second.R_parent_joint])
+            R = ori.interpolate(times[k : k + 2], pair, [now])[0]
+            share = (now - times[k]) / (times[k + 1] - times[k])
+            std = first.std_rad + share * (second.std_rad - first.std_rad)
+        return Pose(stamp, R, self.p_world_root, std, first.note)
+
+
+def standing(skeleton: Skeleton) -> Array:
+    """(3,) m: the pelvis of the rest pose, above the origin, soles on the floor."""
+    rest = skeleton.rest_positions
+    sole = SOLE_BELOW_TOE * skeleton.stature / TABLE_STATURE
+    p: Array = np.array([0.0, rest[0, 1] - rest[list(TOES), 1].min() + sole, 0.0])
+    p.setflags(write=False)
+    return p

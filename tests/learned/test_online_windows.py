@@ -1,0 +1,234 @@
+"""Streaming against the batch of the same windows."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from learned import online
+from learned.features import COMBINATIONS, imuposer_input, imuposer_pose
+from learned.models import Dip, Imuposer, build, for_network
+from learned.networks.dip import Gaussian
+from learned.online.dip import DipWindow
+from learned.online.estimator import Online
+from learned.online.imuposer import ImuposerWindow
+from learned.validation import cut
+from mocap import Recording, synthesis
+from mocap import orientation as ori
+from mocap import sensors as places
+from mocap.errors import PoserError
+from mocap.estimator import Pose, Sample, samples
+from poser import motions
+
+
+def model(network: str, seed: int = 0, **changes: object) -> Dip | Imuposer:
+    torch.manual_seed(seed)
+    built = build(for_network(network, hidden=24, **changes)).eval()
+    for name, x in built.named_parameters():
+        if "weight" in name:  # livelier than the initial weights: outputs follow the inputs
+            x.data *= 2
+    if isinstance(built, Dip):
+        built.out_deviation.fill_(0.5)
+        built.out_mean.copy_(torch.eye(3).flatten().repeat(15))
+    return built.requires_grad_(False)
+
+
+def recording(
+    rate_hz: float, names: tuple[str, ...], noise: str = "none", s: float = 1.5
+) -> Recording:
+    made = synthesis.recording(motions.walk(3.0 + s, rate_hz), names, synthesis.NOISES[noise], 1)
+    begin = round(1.2 * rate_hz)  # on the move
+    return made.slice(begin, begin + round(s * rate_hz))
+
+
+def flushed(estimator: Online, rec: Recording) -> list[Sample]:
+    rows = list(samples(rec))
+    last = rows[-1]
+    nothing = np.zeros(len(estimator.sensors), bool)
+    for k in range(estimator.look_ahead_frames):
+        rows.append(replace(last, time_s=last.time_s + (k + 1) / rec.rate_hz, valid=nothing))
+    return rows
+
+
+def stream(estimator: Online, rec: Recording) -> list[Pose]:
+    state, poses = estimator.init(), []
+    for sample in flushed(estimator, rec):
+        state, pose = estimator.step(state, sample)
+        if pose is not None:
+            poses.append(pose)
+    assert len(poses) == len(rec)
+    return poses
+
+
+def far(poses: list[Pose], R: np.ndarray) -> float:
+    """Largest difference of any rotation's entry."""
+    return float(np.abs(np.stack([p.R_parent_joint for p in poses]) - R).max())
+
+
+DIP_CASES = [
+    ({}, (20, 5)), ({}, (50, 5)), ({}, (20, 0)), ({}, (3, 7)), ({}, (0, 0)),
+    ({"architecture": "rnn"}, (20, 0)),
+    ({"normalisation": "first"}, (20, 5)), ({"normalisation": "heading"}, (20, 5)),
+    ({"use_acc": False}, (20, 5)),
+    ({"architecture": "feedforward"}, (20, 5)), ({"architecture": "wavenet"}, (20, 5)),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("changes", "window"), DIP_CASES)
+@torch.inference_mode()
+def test_dip_streams_as_the_batch_of_its_windows(changes: dict, window: tuple[int, int]) -> None:
+    net, rec = model("dip", **changes), recording(60.0, places.SIX, "realistic", 1.0)
+    assert isinstance(net, Dip)
+    poses = stream(online.dip(net, 60.0, window), rec)
+    w = cut([rec], *window)
+    out = net(net.inputs(w.R_world_bone, w.acc_world)[0])
+    at = Gaussian(
+        *(v[:, w.emit] for v in (out.pose, out.pose_deviation, out.acc, out.acc_deviation))
+    )
+    batch = net.pose(at, w.R_world_bone[:, w.emit, 5])
+    assert (
+        np.ptp(batch[:, 1:].numpy(), axis=0).max() > 0.05
+    )  # the poses do differ from frame to frame
+    assert far(poses, batch.numpy()) < 1e-5
+    std = net.pose_deviation(at, batch).numpy()
+    np.testing.assert_allclose([p.std_rad for p in poses], std, rtol=1e-4)
+    np.testing.assert_allclose([p.time_s for p in poses], rec.start_s + np.arange(len(rec)) / 60)
+
+
+@pytest.mark.parametrize("worn", COMBINATIONS[::5] + COMBINATIONS[-1:])
+@torch.inference_mode()
+def test_imuposer_streams_as_the_batch_of_its_windows(worn: tuple[int, ...]) -> None:
+    net, rec = model("imuposer"), recording(25.0, places.FIVE, s=3.0)
+    assert isinstance(net, Imuposer)
+    names = tuple(places.FIVE[k] for k in worn)
+    estimator = online.imuposer(net, 25.0, names)
+    assert estimator.look_ahead_frames == 0
+    poses = stream(estimator, rec.select(names))
+    w = cut([rec], 124, 0)
+    mask = torch.zeros(len(rec), 5, dtype=torch.bool)
+    mask[:, list(worn)] = True
+    batch = imuposer_pose(net(imuposer_input(w.R_world_bone, w.acc_world, mask))[:, 124])
+    assert np.ptp(batch.numpy(), axis=0).max() > 0.05
+    assert far(poses, batch.numpy()) < 1e-5
+    np.testing.assert_allclose(poses[3].std_rad, net.deviation_rad[COMBINATIONS.index(worn)])
+
+
+@pytest.mark.parametrize("rate_hz", [60.0, 100.0, 25.0])
+@pytest.mark.parametrize("network", ["dip", "imuposer"])
+def test_a_saved_state_resumes_and_old_states_stay_as_they_were(
+    network: str, rate_hz: float
+) -> None:
+    net = model(network)
+    names = places.SIX if network == "dip" else places.FIVE[:3]
+    rec = recording(rate_hz, names, "realistic", 1.0)
+    estimator = (
+        online.dip(net, rate_hz) if network == "dip" else online.imuposer(net, rate_hz, names)
+    )
+    whole = stream(estimator, rec)
+    rows, state, poses = flushed(estimator, rec), estimator.init(), []
+    for k, sample in enumerate(rows):
+        saved = pickle.dumps(state)
+        if k % 7 == 0:  # one step that is thrown away, on the very state that goes on
+            estimator.step(state, rows[0])
+        state, pose = estimator.step(pickle.loads(saved) if k % 3 == 0 else state, sample)
+        poses += [pose] if pose is not None else []
+    assert far(poses, np.stack([p.R_parent_joint for p in whole])) == 0
+
+
+def test_a_turned_person_changes_nothing_but_the_pelvis() -> None:
+    net, rec = model("dip"), recording(60.0, places.SIX)
+    estimator = online.dip(net, 60.0)
+    a, b = stream(estimator, rec), stream(estimator, rec.turned(1.0))
+    for p, q in zip(a, b, strict=True):
+        assert np.abs(p.R_parent_joint[1:] - q.R_parent_joint[1:]).max() < 1e-5
+        assert ori.angle_between(ori.rot_y(1.0) @ p.R_parent_joint[0], q.R_parent_joint[0]) < 1e-6
+
+
+def test_a_device_that_is_not_worn_has_no_influence() -> None:
+    net, rec = model("imuposer"), recording(25.0, places.FIVE, s=1.0)
+    worn = ("right_wrist", "head")
+    few = stream(online.imuposer(net, 25.0, worn), rec.select(worn))
+    valid = np.tile([n in worn for n in places.FIVE], (len(rec), 1))
+    for junk in (np.nan, np.inf, 1e30):
+        estimator = online.imuposer(net, 25.0, places.FIVE)
+        R = np.where(valid[..., None, None], rec.R_world_bone, junk)
+        acc = np.where(valid[..., None], rec.acc_world, junk)
+        state = estimator.init()
+        for t, want in enumerate(few):
+            state, pose = estimator.step(state, Sample(t / 25, R[t], acc[t], valid[t]))
+            assert pose is not None and np.array_equal(pose.R_parent_joint, want.R_parent_joint)
+            assert pose.note == ""
+
+
+def test_devices_come_and_go() -> None:
+    net, rec = model("imuposer"), recording(25.0, places.FIVE[:2], s=5.0)
+    estimator = online.imuposer(net, 25.0, rec.sensors)
+    alone = online.imuposer(net, 25.0, rec.sensors[:1])
+    valid = np.ones((len(rec), 2), bool)
+    valid[20:30, 1] = False  # 0.4 s: held
+    valid[40:70, 1] = False  # 1.2 s: not worn any more from 0.5 s on
+    valid[90:, :] = False  # both: nothing is worn from 0.5 s on
+    state, lonely, poses, others = estimator.init(), alone.init(), [], []
+    for t, s in enumerate(samples(rec)):
+        state, pose = estimator.step(state, replace(s, valid=valid[t]))
+        one = Sample(s.time_s, s.R_world_bone[:1], s.acc_world[:1], valid[t, :1])
+        lonely, other = alone.step(lonely, one)
+        assert pose is not None and other is not None
+        poses.append(pose)
+        others.append(other)
+    pairs = zip(poses, others, strict=True)
+    same = np.array([np.abs(p.R_parent_joint - q.R_parent_joint).max() < 1e-5 for p, q in pairs])
+    assert not same[:52].any() and same[52:70].all() and not same[70:102].any()
+    assert [bool(p.note) for p in poses] == [t > 101 for t in range(len(rec))]
+    assert far(poses[102:], poses[101].R_parent_joint) == 0
+
+
+def test_more_devices_than_it_was_trained_on() -> None:
+    net, rec = model("imuposer"), recording(25.0, places.FIVE, s=0.4)
+    assert isinstance(net, Imuposer)
+    net.deviation_rad[COMBINATIONS.index((0, 2, 4))] = 0.1
+    poses = stream(online.imuposer(net, 25.0, places.FIVE), rec)
+    chosen = ("left_wrist", "left_pocket", "head")
+    few = stream(online.imuposer(net, 25.0, chosen), rec.select(chosen))
+    assert far(poses, np.stack([p.R_parent_joint for p in few])) < 1e-5
+    assert all("only left_wrist, left_pocket, head is used" in p.note for p in poses)
+
+
+def test_a_lost_sensor_is_told() -> None:
+    net, rec = model("dip"), recording(60.0, places.SIX, s=1.5)
+    valid = np.ones((len(rec), 6), bool)
+    valid[30:, 4] = False
+    poses = stream(online.dip(net, 60.0), replace(rec, valid=valid))
+    said = [p.note for p in poses]
+    assert said[59] == "" and said[60] == "nothing from head" and said[-1] == "nothing from head"
+
+
+def test_a_jump_of_the_clock_parts_the_window() -> None:
+    net, rec = model("dip"), recording(60.0, places.SIX)
+    estimator = online.dip(net, 60.0)
+    rows = list(samples(rec))
+    late = [replace(s, time_s=s.time_s + 9) for s in rows[40:]]
+    first, second = stream(estimator, rec.slice(0, 40)), stream(estimator, rec.slice(40, len(rec)))
+    state, poses = estimator.init(), []
+    for s in rows[:40] + late:
+        state, pose = estimator.step(state, s)
+        poses += [pose] if pose is not None else []
+    want = np.stack([p.R_parent_joint for p in first + second])[: len(poses)]
+    assert far(poses, want) < 1e-5
+
+
+@pytest.mark.parametrize("window", [(-1, 5), (20, -2), (5000, 5)])
+def test_windows_that_are_none(window: tuple[int, int]) -> None:
+    with pytest.raises(PoserError, match="window"):
+        DipWindow(model("dip"), window)
+
+
+def test_places_that_are_none() -> None:
+    with pytest.raises(PoserError, match="left_shank"):
+        ImuposerWindow(model("imuposer"), ("left_shank",))
+    with pytest.raises(PoserError, match="one place"):
+        ImuposerWindow(model("imuposer"), ("left_wrist", "left_forearm"), (0, 0))
