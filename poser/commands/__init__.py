@@ -3,5 +3,7 @@
 The module's docstring is the command's description. Heavy imports belong inside `run`.
 """
 
-NAMES: tuple[str, ...] = ("demo", "info", "convert", "synthesize", "calibrate", "solve", "evaluate")
+NAMES: tuple[str, ...] = (
+    "demo", "info", "convert", "synthesize", "calibrate", "solve", "evaluate", "view", "live",
+)  # fmt: skip
 """Commands in the order of `poser --help`."""

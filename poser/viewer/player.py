@@ -1,0 +1,118 @@
+"""Tracks in time: a timeline, play and pause, speed."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from poser.viewer import stage
+from poser.viewer.tracks import Track
+
+RATE_HZ = 30.0  # of updates: a browser's connection, not the motion's rate
+SPACING_M = 1.3
+SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
+
+
+class Player:
+    """Tracks side by side on a server of `stage.server`, with the controls in the page.
+
+    step(seconds) lets time pass; `run` does so until it is told to stop.
+    """
+
+    def __init__(self, made: Any, tracks: Sequence[Track]):
+        self._server, self._tracks = made, tracks
+        self.seconds = max(t.seconds for t in tracks)
+        middle = (len(tracks) - 1) / 2
+        # The first file stands at the left of the picture, which is the bodies' right.
+        shifts = [np.array([(k - middle) * SPACING_M, 0.0, 0.0]) for k in range(len(tracks))]
+        starts = [t.motion.p_world_root[0] * [1, 0, 1] for t in tracks]
+        self._figures = [
+            stage.Figure(made, k, t.label, t.motion.skeleton, shifts[k] - starts[k],
+                         len(t.sensors.names) if t.sensors else 0)
+            for k, t in enumerate(tracks)
+        ]  # fmt: skip
+        travelled = max(
+            float(np.ptp(t.motion.p_world_root[:, [0, 2]], axis=0).max()) for t in tracks
+        )
+        stage.floor(made, 12.0 + 2 * travelled)
+        stage.look_from(made, np.array([0.0, 0.95, 0.0]), SPACING_M * len(tracks))
+        self._shown: list[int] | None = None
+        self._controls(made)
+        self.show()
+
+    def _controls(self, made: Any) -> None:
+        gui = made.gui
+        step = min(1.0 / t.motion.rate_hz for t in self._tracks)
+        self._time = gui.add_slider(
+            "time, s", min=0.0, max=max(self.seconds, step), step=round(step, 4), initial_value=0.0
+        )
+        self._play = gui.add_button("Pause")
+        self._speed = gui.add_dropdown("speed", SPEEDS, initial_value="1")
+        self._stay = gui.add_checkbox(
+            "in place", initial_value=False, hint="without the bodies' path on the floor"
+        )
+
+        @self._play.on_click
+        def _(_: Any) -> None:
+            self.playing = not self.playing
+
+        @self._stay.on_update
+        def _(_: Any) -> None:
+            self._shown = None
+
+    @property
+    def playing(self) -> bool:
+        """Whether time passes; the button says what it would change that to."""
+        return str(self._play.label) == "Pause"
+
+    @playing.setter
+    def playing(self, value: bool) -> None:
+        self._play.label = "Pause" if value else "Play"
+
+    @property
+    def time_s(self) -> float:
+        """Where the timeline stands."""
+        return float(self._time.value)
+
+    @time_s.setter
+    def time_s(self, value: float) -> None:
+        self._time.value = value
+
+    def step(self, passed_s: float) -> None:
+        """Let time pass and show what is then; the end is followed by the beginning."""
+        if self.playing and self.seconds > 0:
+            t = self.time_s + passed_s * float(self._speed.value)
+            self.time_s = t if t <= self._time.max else 0.0
+        self.show()
+
+    def show(self) -> None:
+        """Show the frames at the timeline's time."""
+        frames = [t.frame(self.time_s) for t in self._tracks]
+        if frames == self._shown:
+            return
+        self._shown = frames
+        with self._server.atomic():
+            for figure, track, k in zip(self._figures, self._tracks, frames, strict=True):
+                self._show(figure, track, k)
+
+    def _show(self, figure: stage.Figure, track: Track, k: int) -> None:
+        motion = track.motion
+        back = np.zeros(3)
+        if self._stay.value:
+            back = (motion.p_world_root[k] - motion.p_world_root[0]) * [1, 0, 1]
+        figure.pose(motion.R_world_joint[k], motion.p_world_joint[k] - back)
+        if track.sensors is not None:
+            s = track.sensors
+            figure.show_sensors(s.R_world_bone[k], s.p_world[k] - back, s.valid[k])
+
+    def run(self, stop: threading.Event, clock: Callable[[], float] = time.monotonic) -> None:
+        """Play until `stop` is set."""
+        before = clock()
+        while not stop.wait(1.0 / RATE_HZ):
+            now = clock()
+            self.step(now - before)
+            before = now

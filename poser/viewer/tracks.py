@@ -1,0 +1,96 @@
+"""What of a file can be shown: a body in motion, and the sensors on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap import orientation as ori
+from mocap import synthesis
+from mocap.errors import FormatError
+from mocap.formats import Options
+from mocap.motion import Motion
+from mocap.orientation import Array
+from mocap.recording import Recording
+from mocap.skeleton import Skeleton
+from poser import files
+from poser.staging import on_the_floor
+
+
+@dataclass(frozen=True, eq=False)
+class Sensors:
+    """S sensors on a track of T frames: R_world_bone (T,S,3,3), p_world (T,S,3) m, valid (T,S)."""
+
+    names: tuple[str, ...]
+    R_world_bone: Array
+    p_world: Array
+    valid: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """One file: label, motion, and the sensors where it has any."""
+
+    label: str
+    motion: Motion
+    sensors: Sensors | None = None
+
+    @property
+    def seconds(self) -> float:
+        """Time of the last frame."""
+        return (len(self.motion) - 1) / self.motion.rate_hz
+
+    def frame(self, time_s: float) -> int:
+        """The frame at a time; the ends hold."""
+        return min(len(self.motion) - 1, max(0, round(time_s * self.motion.rate_hz)))
+
+
+def read(path: Path, options: Options | None = None) -> Track:
+    """The track of a motion or a calibrated recording. Raises FormatError for a raw recording."""
+    content = files.read(path, options).content
+    if isinstance(content, Motion):
+        return Track(path.name, content)
+    if not isinstance(content, Recording):
+        raise FormatError(
+            path, "holds a raw recording, whose axes are not the body's; poser calibrate it first"
+        )
+    if content.reference is not None:
+        return Track(
+            f"{path.name} (reference)", content.reference, sensors_on(content, content.reference)
+        )
+    motion = as_measured(content)
+    return Track(f"{path.name} (as measured)", motion, sensors_on(content, motion))
+
+
+def as_measured(recording: Recording) -> Motion:
+    """A standing body whose instrumented joints are turned as measured, all others with their parents.
+
+    Not an estimate: it shows what the sensors say. A lost sample keeps the rotation before it, or after
+    it at the start.
+    """
+    body = Skeleton.default()
+    T = len(recording)
+    R_world = np.tile(np.eye(3), (T, 24, 1, 1))
+    ok = recording.ori_valid
+    for j, parent in enumerate(body.parents):
+        if parent >= 0:
+            R_world[:, j] = R_world[:, parent]
+        for s in np.flatnonzero(recording.joint == j)[:1]:
+            if ok[:, s].any():
+                first = int(np.argmax(ok[:, s]))
+                last = np.maximum.accumulate(np.where(ok[:, s], np.arange(T), first))
+                R_world[:, j] = recording.R_world_bone[last, s]
+    local = body.local_rotations(R_world)
+    p = np.tile(body.offsets[0], (T, 1))
+    return on_the_floor(Motion(recording.rate_hz, local, p, body))
+
+
+def sensors_on(recording: Recording, motion: Motion) -> Sensors:
+    """The sensors at their seats on the moving body, turned as measured."""
+    p = synthesis.sensor_positions(motion, recording.joint, recording.placement)
+    ok = recording.ori_valid
+    R = np.where(ok[..., None, None], recording.R_world_bone, np.eye(3))
+    return Sensors(recording.sensors, ori.project(R), p, ok)

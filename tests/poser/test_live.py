@@ -1,0 +1,150 @@
+"""`poser live` as its users call it: replay to a file, what is refused, Ctrl-C."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mocap import formats
+from mocap.motion import Motion
+from poser.__main__ import main
+from tests.poser.live.conftest import estimators  # noqa: F401 (a fixture)
+
+
+@pytest.fixture
+def live(estimators: Any, folder: Path) -> Path:  # noqa: F811
+    """The six noisy sensors of the built-in walk; the estimator is the test's own."""
+    return folder / "rec" / "walk.npz"
+
+
+def test_replay_to_a_file(live: Path, tmp_path: Path, answer: Any, estimators: Any) -> None:  # noqa: F811
+    out = tmp_path / "m.npz"
+    facts = answer("live", "--source", live, "--sink", out, "--speed", "max", "--method", "dip")
+    assert facts["samples"] == facts["frames"] == 180
+    assert facts["latency_ms_p50"] is None
+    assert 0 < facts["frame_ms_p50"] <= facts["frame_ms_p99"]
+    assert facts["sinks"] == {str(out): {"frames": 180, "held": 0}}
+    assert estimators == [("dip", 60.0, tuple(formats.read(live).content.sensors))]  # type: ignore[union-attr]
+    motion = formats.read(out).content
+    assert isinstance(motion, Motion)
+    assert (len(motion), motion.rate_hz) == (180, 60.0)
+
+
+def test_replay_at_its_own_pace_shows_the_latency(live: Path, tmp_path: Path, answer: Any) -> None:
+    began = time.monotonic()
+    facts = answer(
+        "live", "--source", live, "--seconds", 1, "--speed", 2, "--sink", tmp_path / "m.bvh"
+    )
+    assert time.monotonic() - began > 0.45
+    assert facts["frames"] == 60
+    assert 0 <= facts["latency_ms_p50"] <= facts["latency_ms_p99"]
+
+
+def test_the_answer_for_people(live: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["live", "--source", str(live), "--speed", "max"]) == 0
+    said = capsys.readouterr().out
+    assert "180 poses of 180 samples" in said
+    assert "per frame: " in said
+
+
+def test_the_hybrid_s_network(live: Path, answer: Any, estimators: Any) -> None:  # noqa: F811
+    answer("live", "--source", live, "--speed", "max", "--network", "dip")
+    assert estimators[0][0] == "hybrid-dip"
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "said"),
+    [
+        (("--source", "udp:0"), 2, "'0' is not PORT or HOST:PORT"),
+        (("--source", "udp:localhost"), 2, "is not PORT"),
+        (("--source", "udp:9000", "--speed", "2"), 2, "--speed"),
+        (("--source", "udp:9000", "--map", "a=nose"), 2, "'nose' is none of"),
+        (("--source", "udp:9000", "--devices", "left,right"), 2, "three times left or right"),
+        (
+            ("--source", "udp:9000", "--devices", "left,right,left"),
+            2,
+            "--calibration FILE or bones",
+        ),
+        (("--source", "udp:9000", "--calibration", "absent.npz"), 1, "absent.npz: no such file"),
+        (("--source", "absent.npz"), 1, "absent.npz: no such file"),
+        (("--source", "{rec}", "--sink", "{rec}"), 2, "is the input"),
+        (("--source", "{rec}", "--sink", "out.txt"), 2, "must end in .npz or .bvh"),
+        (("--source", "{rec}", "--sink", "vmc:port"), 2, "is not PORT"),
+        (("--source", "{rec}", "--sensors", "five"), 1, "not in the recording"),
+        (("--source", "{rec}", "--method", "dip", "--network", "dip"), 2, "--network"),
+    ],
+)
+def test_refusals(live: Path, refusal: Any, words: tuple[str, ...], status: int, said: str) -> None:
+    got, sentence = refusal("live", *(w.replace("{rec}", str(live)) for w in words))
+    assert got == status
+    assert said in sentence
+
+
+def test_calibration_comes_from_what_poser_calibrate_wrote(live: Path, refusal: Any) -> None:
+    got, sentence = refusal("live", "--source", "udp:9000", "--calibration", live)
+    assert got == 1
+    assert "holds no calibration" in sentence
+
+
+PROCESS = """
+import poser, sys, types
+sys.path.insert(0, {root!r})
+from tests.poser.live.conftest import Hold
+fake = types.ModuleType("poser.estimators")
+fake.make = lambda method, rate_hz, sensors: Hold(rate_hz, sensors)
+sys.modules["poser.estimators"] = poser.estimators = fake
+from poser.__main__ import main
+sys.exit(main(None))
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals")
+def test_ctrl_c_keeps_what_there_is(folder: Path, tmp_path: Path) -> None:
+    """130, the file whole and as long as the poses told, the answer on stdout."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as s:
+        s.bind(("127.0.0.1", 0))
+        port = s.getsockname()[1]
+    root = str(Path(__file__).resolve().parents[2])
+    words = ["live", "--source", f"udp:{port}", "--calibration", "bones", "--sensors", "head"]
+    words += ["--sink", str(tmp_path / "m.npz"), "--json"]
+    process = subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(PROCESS.format(root=root)), *words],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert process.stderr is not None
+    first = process.stderr.readline()
+    assert "listening on 127.0.0.1" in first, process.communicate(timeout=10)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as s:
+        for k in range(60):
+            fields = {"device": "head", "t": k / 60, "seq": k, "q": [1, 0, 0, 0], "a": [0, 0, 0]}
+            s.sendto(json.dumps(fields).encode(), ("127.0.0.1", port))
+            time.sleep(1 / 60)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert err.splitlines()[-1] == "poser live: interrupted"
+    facts = json.loads(out)
+    assert facts["frames"] >= 50
+    assert facts["devices"]["head"]["received"] == 60
+    assert [p.name for p in tmp_path.iterdir()] == ["m.npz"]
+    motion = formats.read(tmp_path / "m.npz").content
+    assert len(motion) == facts["sinks"][str(tmp_path / "m.npz")]["frames"]
+
+
+def test_without_the_extra_a_sentence_names_it(
+    live: Path, refusal: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pythonosc", None)
+    got, sentence = refusal("live", "--source", live, "--sink", "vmc:39539")
+    assert got == 1
+    assert "pip install 'poser-imu[live]'" in sentence

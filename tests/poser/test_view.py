@@ -1,0 +1,159 @@
+"""Skins, tracks and the player's time, without a browser."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mocap import orientation as ori
+from mocap import sensors, synthesis
+from mocap.errors import PoserError
+from mocap.formats.smpl import SmplMesh
+from mocap.skeleton import Skeleton
+from poser import motions
+from poser.__main__ import main
+from poser.viewer import stage, tracks
+from poser.viewer.player import Player
+from poser.viewer.skins import capsule, skin
+
+point = st.lists(st.floats(-2, 2), min_size=3, max_size=3).map(np.array)
+
+
+@given(point, point, st.floats(0.01, 0.5))
+def test_a_capsule_is_all_points_at_its_radius(
+    start: np.ndarray, end: np.ndarray, r: float
+) -> None:
+    vertices, faces = capsule(start, end, r)
+    axis = end - start
+    along = np.clip((vertices - start) @ axis / max(axis @ axis, 1e-18), 0, 1)
+    distance = np.linalg.norm(vertices - (start + along[:, None] * axis), axis=1)
+    np.testing.assert_allclose(distance, r, rtol=1e-6, atol=1e-6)
+    corners = vertices[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    # Signed volume by the divergence theorem: positive where faces look outward, and near the capsule's.
+    centred = corners - (start + end) / 2
+    volume = np.einsum("fi,fi->", centred[:, 0], normals) / 6
+    exact = np.pi * r**2 * np.linalg.norm(axis) + 4 / 3 * np.pi * r**3
+    assert 0.9 * exact < volume < exact
+
+
+def test_every_bone_has_its_capsule_and_moves_with_its_joint() -> None:
+    body = Skeleton.default(1.9)
+    look = skin(body)
+    assert (look.weights.sum(axis=1) == 1).all()
+    assert set(look.weights.argmax(axis=1)) >= set(body.parents) - {-1}
+    assert look.faces.max() == len(look.vertices) - 1
+    height = np.ptp(look.vertices[:, 1])
+    assert height == pytest.approx(1.9, abs=0.08)
+    left, right = (look.vertices[:, 0].max(), look.vertices[:, 0].min())
+    assert left == pytest.approx(-right, abs=0.02)
+
+
+def test_the_smpl_mesh_is_taken_where_there_is_one() -> None:
+    body = Skeleton.default()
+    rng = np.random.default_rng(0)
+    weights = rng.dirichlet(np.ones(24), size=5)
+    mesh = SmplMesh(
+        rng.normal(size=(5, 3)), body.rest_positions, weights, np.zeros((5, 3, 207)),
+        np.array([[0, 1, 2], [2, 3, 4]]),
+    )  # fmt: skip
+    dressed = Skeleton(body.names, body.parents, body.offsets, body.betas, mesh)
+    look = skin(dressed)
+    # Moved as a browser moves it, the skin is where SMPL's own skinning puts the vertices.
+    motion = motions.walk(3.0).on(dressed).slice(50, 51)
+    R, p = motion.R_world_joint[0], motion.p_world_joint[0]
+    turned = np.einsum("jab,vjb->vja", R, look.vertices[:, None] - look.rest) + p
+    moved = np.einsum("vj,vja->va", look.weights, turned)
+    np.testing.assert_allclose(moved, mesh.vertices(motion)[0], atol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def recording() -> Any:
+    return synthesis.recording(motions.walk(3.0), sensors.SIX, synthesis.Noise(), rng=1)
+
+
+def test_as_measured_shows_what_the_sensors_say(recording: Any) -> None:
+    motion = tracks.as_measured(recording)
+    ok = recording.ori_valid
+    shown = motion.R_world_joint[:, recording.joint]
+    off = ori.angle_between(shown[ok], recording.R_world_bone[ok])
+    assert off.max() < 1e-6
+    # Lost samples keep a neighbour's rotation: the body does not fall back into the T-pose.
+    assert not ok[0].any()
+    np.testing.assert_array_equal(motion.R_parent_joint[0], motion.R_parent_joint[1])
+
+
+def test_the_kinds_of_files(folder: Path) -> None:
+    motion = tracks.read(folder / "walk.npz")
+    assert motion.sensors is None and motion.seconds == pytest.approx(3.0, abs=0.02)
+    recorded = tracks.read(folder / "rec" / "walk.npz")
+    assert recorded.label == "walk.npz (reference)"
+    assert recorded.sensors is not None and recorded.sensors.R_world_bone.shape[1] == 6
+    with pytest.raises(PoserError, match="poser calibrate it first"):
+        tracks.read(folder / "raw" / "long.npz")
+
+
+@pytest.fixture
+def made() -> Any:
+    server = stage.server("127.0.0.1", 18180)
+    yield server
+    stage.stop(server)
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_the_player_s_time(made: Any, recording: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    slow = motions.walk(4.0, rate_hz=30.0)
+    on = tracks.sensors_on(recording, recording.reference)
+    player = Player(made, [tracks.Track("a", slow), tracks.Track("b", recording.reference, on)])
+    player.step(1.5)
+    assert player.time_s == 1.5
+    # Each file has its own rate; the second has ended after 3 s, and its last frame stays.
+    assert player._shown == [45, 90]
+    player.step(2.0)
+    assert player._shown == [105, 179]
+    player.playing = False
+    player.step(1.0)
+    assert player.time_s == 3.5
+    player.playing = True
+    player.step(1.0)
+    assert player.time_s == 0.0
+    figure = player._figures[1]
+    for j in (0, 15, 21):
+        bone = figure._mesh.bones[j]
+        R = ori.from_quat(np.array(bone.wxyz))
+        np.testing.assert_allclose(R, recording.reference.R_world_joint[0, j], atol=1e-6)
+    assert capsys.readouterr().out == ""
+
+
+def test_what_cannot_be_viewed(folder: Path, refusal: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    for words, said in (
+        (("absent.npz",), "no such file"),
+        ((folder / "raw" / "long.npz",), "poser calibrate"),
+    ):
+        status, sentence = refusal("view", *words, "--no-browser")
+        assert status == 1
+        assert said in sentence
+    monkeypatch.setitem(sys.modules, "viser", None)
+    status, sentence = refusal("view", folder / "walk.npz", "--no-browser")
+    assert status == 1
+    assert "pip install 'poser-imu[live]'" in sentence
+
+
+def test_ctrl_c_ends_the_viewer(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Player, "run", interrupted)
+    assert main(["view", str(folder / "walk.npz"), "--no-browser", "--port", "18190"]) == 130
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert "http://127.0.0.1:181" in said.err
+    assert said.err.splitlines()[-1] == "poser view: interrupted"
