@@ -145,3 +145,12 @@ def pose_numbers(model: Imuposer, runtime: Runtime, features: Tensor) -> Tensor:
     if isinstance(runtime, Plain):
         return features
     return model.net.head(features)
+
+
+def one_thread() -> None:
+    """Let torch work on one thread in this process.
+
+    A frame's products are small and follow one another: a second thread gains little on an idle machine,
+    and on a busy one each product waits for whichever thread runs last.
+    """
+    torch.set_num_threads(1)

@@ -1,0 +1,118 @@
+"""The online methods by name, for a recording's sensors. torch and osqp are imported once one is made."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mocap import sensors as places
+from mocap.errors import PoserError, SensorError
+
+if TYPE_CHECKING:
+    from mocap.estimator import Estimator
+    from mocap.skeleton import Skeleton
+
+METHODS = ("dip", "imuposer", "imuposer-adam", "hybrid")
+NETWORKS = ("dip", "imuposer")
+MOST_DEVICES = 3  # that IMUPoser is trained on at a time
+
+
+def stand_in(place: str, sensors: Sequence[str]) -> str | None:
+    """The sensor that serves for `place`: itself, or another on the same bone (left_forearm: left_wrist)."""
+    if place in sensors:
+        return place
+    joint = places.lookup(place).joint
+    others = (n for n in sensors if n in places.PLACES and places.PLACES[n].joint == joint)
+    return next(others, None)
+
+
+def network_of(method: str, network: str | None = None) -> str:
+    """dip or imuposer: the network that a method runs; the hybrid's is `network`, dip where nothing is said.
+
+    Raises PoserError for a method or network that is unknown, or a network that is not the method's.
+    """
+    name, _, own = method.partition("-")
+    if method not in (*METHODS, "hybrid-dip", "hybrid-imuposer"):
+        raise PoserError(f"method {method!r} unknown; known: {', '.join(METHODS)}")
+    if network is not None and network not in NETWORKS:
+        raise PoserError(f"network {network!r} unknown; known: {', '.join(NETWORKS)}")
+    fixed = own if name == "hybrid" else name
+    if fixed and network not in (None, fixed):
+        raise PoserError(f"method {method} runs the network {fixed}, not {network}")
+    return fixed or network or "dip"
+
+
+def used(network: str, sensors: Sequence[str]) -> dict[str, str]:
+    """Place -> sensor: what the network reads of the sensors there are, in its own order.
+
+    DIP needs all of `six`; IMUPoser takes what there is of `five`. Raises SensorError naming what is missing.
+    """
+    wanted = places.SIX if network == "dip" else places.FIVE
+    found = {p: s for p in wanted if (s := stand_in(p, sensors)) is not None}
+    missing = [p for p in wanted if p not in found]
+    if network == "dip" and missing:
+        raise SensorError(
+            f"dip needs {', '.join(wanted)}: there is no {', '.join(missing)}; "
+            f"there is: {', '.join(sensors)}"
+        )
+    if not found:
+        raise SensorError(
+            f"imuposer needs one to three of {', '.join(wanted)}; there is: {', '.join(sensors)}"
+        )
+    return found
+
+
+def check_devices(found: dict[str, str]) -> None:
+    """IMUPoser's devices as worn all at once: raises SensorError where it was not trained on them."""
+    pockets_and_head = set(found) == {"left_pocket", "right_pocket", "head"}
+    if len(found) > MOST_DEVICES or pockets_and_head:
+        why = "both pockets and the head together" if pockets_and_head else f"{len(found)} devices"
+        raise SensorError(
+            f"imuposer is trained on one to three devices, not on {why}: choose with --sensors, "
+            f"for example {','.join(list(found.values())[:2])}"
+        )
+
+
+def make(
+    method: str,
+    rate_hz: float,
+    sensors: tuple[str, ...],
+    *,
+    network: str | None = None,
+    weights: Path | None = None,
+    window: tuple[int, int] | None = None,
+    skeleton: Skeleton | None = None,
+) -> Estimator:
+    """The estimator of a method for samples at `rate_hz`; its `sensors` are those of `sensors` that it reads.
+
+    network: the hybrid's. weights: a file (default: the shipped ones). window: DIP's frames before and
+    after (default: 20,5). skeleton: the wearer's body. IMUPoser may be given all five places: it reads those
+    that are valid at the time. Raises PoserError where something does not fit.
+    """
+    which = network_of(method, network)
+    found = used(which, sensors)
+    if window is not None and which != "dip":
+        raise PoserError("a window can be chosen for dip alone; imuposer's is 125 frames")
+    from learned import checkpoint, online, runtime
+    from learned.models import Dip, Imuposer
+
+    runtime.one_thread()
+    model = checkpoint.load(weights or checkpoint.shipped(which), which)
+    names = tuple(found.values())
+    estimator: Estimator
+    if isinstance(model, Dip):
+        estimator = online.dip(model, rate_hz, window or (20, 5), names, skeleton)
+    else:
+        assert isinstance(model, Imuposer)
+        place = tuple(places.FIVE.index(p) for p in found)
+        estimator = online.imuposer(model, rate_hz, names, place, skeleton)
+    if method == "imuposer-adam":
+        from learned.refine import AdamEstimator
+
+        return AdamEstimator(estimator, tuple(places.lookup(p).joint for p in found))
+    if method.startswith("hybrid"):
+        from hybrid import Tracker
+
+        return Tracker(estimator, skeleton=skeleton)
+    return estimator
