@@ -36,7 +36,7 @@ class ContactNoise:
     blind_s: float = 0.2
     foot_speed: float = 0.1
     height: float = 0.03
-    speed: float = 0.4
+    speed: float = 0.25
     ground: float = 0.03
     fall: float = 0.7
 
@@ -45,8 +45,8 @@ class ContactNoise:
 class RootState:
     """p (3,) m and v (3,) m/s of the pelvis joint in the world, the ground at y = 0.
 
-    NaN in p: not placed yet. covariance (3,2,2): position and velocity of each axis, m^2, m^2/s,
-    m^2/s^2. soles (2,2,3) m: see `Contact.soles`, a frame ago; None at the start and after a gap.
+    NaN in p: not placed yet. covariance (3,3): rows pp m^2, pv m^2/s, vv m^2/s^2, columns the axes.
+    soles (2,2,3) m: see `Contact.soles`, a frame ago; None at the start and after a gap.
     standing (2,): the belief that each foot stands, 0 to 1.
     """
 
@@ -59,12 +59,12 @@ class RootState:
     @property
     def std_m(self) -> Array:
         """(3,) m: deviation of the root's position."""
-        return np.sqrt(self.covariance[:, 0, 0])
+        return np.sqrt(self.covariance[0])
 
 
 def start() -> RootState:
     """Not placed yet."""
-    return RootState(np.full(3, np.nan), np.zeros(3), np.zeros((3, 2, 2)), None, np.zeros(2))
+    return RootState(np.full(3, np.nan), np.zeros(3), np.zeros((3, 3)), None, np.zeros(2))
 
 
 class Contact:
@@ -112,27 +112,35 @@ class Contact:
         if state.soles is None:
             p = np.where(np.isfinite(state.p), state.p, at)
             p[1] = -lowest
-            covariance = np.tile(np.diag([n.ground**2, n.speed**2]), (3, 1, 1))
+            covariance = np.outer([n.ground**2, 0.0, n.speed**2], np.ones(3))
             return RootState(p, np.zeros(3), covariance, soles, np.ones(2) / 2)
         measured = bool(np.isfinite(acc_pelvis).all())
         acc = acc_pelvis if measured else np.zeros(3)
         sigma, memory = (n.acc, n.acc_s) if measured else (n.blind_acc, n.blind_s)
         p = state.p + state.v * dt + acc * dt**2 / 2
         v = state.v + acc * dt
-        F = np.array([[1.0, dt], [0.0, 1.0]])
-        Q = np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]]) * (2 * sigma**2 * memory)
-        P = F @ state.covariance @ F.T + Q
+        S = 2 * sigma**2 * memory
+        # Exact for white acceleration of density S: see `hybrid.motion_filter`.
+        step = np.array([[1.0, 2 * dt, dt**2], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])
+        P = step @ state.covariance + S * np.array([[dt**3 / 3], [dt**2 / 2], [dt]])
         # Of each foot the point that stands is the lower one.
         lower = soles[..., 1].argmin(axis=0)
         foot = soles[lower, [0, 1]]
         velocity = (foot - state.soles[lower, [0, 1]]) / dt
         standing = self._standing(foot[:, 1] - lowest, velocity, v, acc, P)
         for k in range(2):
-            variance = n.foot_speed**2 / max(standing[k], 1e-6) ** 2
-            p, v, P = _measure(p, v, P, np.ones(3, bool), 1, -velocity[k], variance)
-        variance = n.ground**2 / max(standing.max(), 1e-6) ** 2
-        up = np.array([False, True, False])
-        p, v, P = _measure(p, v, P, up, 0, np.array([0, -lowest, 0]), variance)
+            variance = n.foot_speed**2 / max(standing[k], 1e-3) ** 4
+            gain = P[1:] / (P[2] + variance)
+            error = -velocity[k] - v
+            p, v = p + gain[0] * error, v + gain[1] * error
+            P = P - np.stack([gain[0] * P[1], gain[0] * P[2], gain[1] * P[2]])
+        up = np.array([0.0, 1.0, 0.0])
+        # Whoever is below the ground by more than the ground is uncertain, is not: standing or not.
+        sure = 1.0 if p[1] < -lowest - n.ground else max(standing.max(), 1e-3)
+        gain = P[:2] / (P[0] + n.ground**2 / sure**4) * up
+        error = -lowest - p
+        p, v = p + gain[0] * error, v + gain[1] * error
+        P = P - np.stack([gain[0] * P[0], gain[0] * P[1], gain[1] * P[1]])
         return RootState(p, v, P, soles, standing)
 
     def _standing(
@@ -142,19 +150,6 @@ class Contact:
         n = self.noise
         speed = np.linalg.norm(velocity + v_root, axis=1)
         # An uncertain root velocity makes every foot look fast: that much proves nothing.
-        allowed = n.speed**2 + P[:, 1, 1].sum()
+        allowed = n.speed**2 + P[2].sum()
         falling = np.clip(-acc[1] / (n.fall * ori.GRAVITY), 0.0, 1.0)
         return np.exp(-((height / n.height) ** 2) / 2 - speed**2 / allowed / 2) * (1 - falling**4)
-
-
-def _measure(
-    p: Array, v: Array, P: Array, axes: np.ndarray, which: int, value: Array, variance: float
-) -> tuple[Array, Array, Array]:
-    """Kalman update of the axes (3,) by a measured position (which 0, m) or velocity (1, m/s)."""
-    gain = P[:, :, which] / (P[:, which, which] + variance)[:, None]
-    gain = np.where(axes[:, None], gain, 0.0)
-    error = np.where(axes, value - (v if which else p), 0.0)
-    keep = np.tile(np.eye(2), (3, 1, 1))
-    keep[:, :, which] -= gain
-    P = keep @ P @ keep.transpose(0, 2, 1) + variance * gain[:, :, None] * gain[:, None, :]
-    return p + gain[:, 0] * error, v + gain[:, 1] * error, P

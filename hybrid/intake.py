@@ -17,9 +17,10 @@ LARGEST_ACC = 400.0  # m/s^2; the range of body-worn sensors ends at 16 to 40 g
 def clean(sample: Any, sensors: int, expected_s: float) -> tuple[Sample, dict[str, int]]:
     """The sample with what cannot be used marked invalid, and counts of what was marked.
 
-    Rotations that are not orthonormal and right-handed: NaN. Accelerations that are not finite or past
-    LARGEST_ACC: NaN. A sensor with neither is not valid. A time that is not finite becomes expected_s. A
-    sample of another shape counts as one in which nothing was measured.
+    Rotations that are not orthonormal and right-handed within 1e-3: NaN; the others are projected.
+    Accelerations that are not finite or past LARGEST_ACC: NaN. A sensor with neither is not valid. A
+    time that is not finite becomes expected_s. A sample of another shape counts as one in which
+    nothing was measured.
     """
     events: dict[str, int] = {}
     time_s = _number(getattr(sample, "time_s", None))
@@ -37,6 +38,8 @@ def clean(sample: Any, sensors: int, expected_s: float) -> tuple[Sample, dict[st
     # Past 2 no entry belongs to a rotation; clipped first, huge numbers cannot overflow in the check.
     turns = np.asarray((np.abs(R) < 2).all((-1, -2)))
     turns[turns] = ori.is_rotation(R[turns])
+    if not ori.is_rotation(R[turns], 1e-9).all():
+        R[turns] = ori.project(R[turns])
     moves = np.isfinite(acc).all(-1) & (np.abs(acc) <= LARGEST_ACC).all(-1)
     broken = int((said & ~turns & np.isfinite(R).all((-1, -2))).sum())
     if broken:
@@ -56,7 +59,7 @@ def proposal(pose: Any) -> Pose | None:
     p = _array(getattr(pose, "p_world_root", None), (3,))
     if time_s is None or R is None or not np.isfinite(R).all() or not (np.abs(R) < 10).all():
         return None
-    if not ori.is_rotation(R, 1e-6).all():
+    if not ori.is_rotation(R, 1e-9).all():
         # A matrix that is far from any rotation has no nearest one worth the name.
         if not (np.linalg.det(R) > 0.1).all():
             return None

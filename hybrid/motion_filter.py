@@ -36,7 +36,7 @@ class FilterNoise:
     blind: float = 5.0
     blind_s: float = 0.1
     solved_m: float = 0.05
-    solved_s: float = 0.25
+    solved_s: float = 1.0
     start_velocity: float = 0.7
     widest_m: float = 0.3
 

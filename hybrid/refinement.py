@@ -6,14 +6,17 @@
             + |dv|^2 / sigma_step^2
     subject to joint limits and joint rates (a box in the rotation vectors)
 
-linearised at R = R_net Exp(xi), xi the refinement of the frame before: what the network gets wrong changes
-slowly, so one step a frame follows it, and the damping holds the refinement's change, not the pose's.
+linearised at R = R_net Exp(xi) Exp(phi step): xi the refinement of the frame before, step its last change,
+phi = exp(-dt / step_memory_s). What the network gets wrong changes slowly, so one step a frame follows it,
+and the damping holds the refinement back, not the pose. The momentum makes a low-pass of second order of
+it: of what sensors shake, a third reaches the pose that a first-order one of the same lag would let through.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -36,12 +39,14 @@ NOT_CONVERGED = "the QP did not converge"
 class Memory:
     """What one frame hands to the next.
 
-    xi (F,3) rad: refinement of the free joints. root (3,) rad: Log(R_net^T R_measured) of the root.
+    xi, step (F,3) rad: refinement of the free joints, R_net Exp(xi), and the tangent step that led there
+    from the frame before. root (3,) rad: Log(R_net^T R_measured) of the root.
     R_free (F,3,3): the refined rotations, or None at a start. motion: the sensors' filters, p relative to
     the pelvis sensor. refused_s (S,): for how long each filter's predictions have been refused.
     """
 
     xi: Array
+    step: Array
     root: Array
     R_free: Array | None
     motion: motion_filter.SensorMotion
@@ -59,6 +64,17 @@ class Refined:
     reason: str
     events: Mapping[str, int]
     qp: Answer | None
+
+
+class Charts(NamedTuple):
+    """Rotation vectors (F,3) rad of the free joints at the linearisation: xi from the network's, theta
+    of the joint, proposed by the network, back to the frame before (None at a start).
+    """
+
+    xi: Array
+    theta: Array
+    proposed: Array
+    back: Array | None
 
 
 def free_joints(skeleton: Skeleton, joint: np.ndarray, spine: bool) -> tuple[int, ...]:
@@ -89,7 +105,7 @@ class Refinement:
         self.free = free_joints(skeleton, self.joint, settings.spine)
         self._free = list(self.free)
         self.kinematics = Kinematics(skeleton, self.joint, seat, self.free)
-        self._qp = LimbQP(3 * len(self.free)) if self.free else None
+        self.qp = LimbQP(3 * len(self.free)) if self.free else None
         lower, upper = limits.ranges()
         self._lower, self._upper = lower[self._free], upper[self._free]
         self._limited = np.array([j != 0 for j in self.free], bool)
@@ -100,7 +116,14 @@ class Refinement:
     def start(self) -> Memory:
         """Nothing remembered."""
         F, S = len(self.free), len(self.joint)
-        return Memory(np.zeros((F, 3)), np.zeros(3), None, motion_filter.stopped(S), np.zeros(S))
+        return Memory(
+            np.zeros((F, 3)),
+            np.zeros((F, 3)),
+            np.zeros(3),
+            None,
+            motion_filter.stopped(S),
+            np.zeros(S),
+        )
 
     def refine(
         self, memory: Memory, pose: Pose, sample: Sample, dt: float
@@ -115,21 +138,29 @@ class Refinement:
         motion = self._predicted(memory.motion, sample, dt)
         memory = replace(memory, root=root, motion=motion)
         unseen = "" if seen.any() else NO_MEASUREMENT
-        if self._qp is None:
+        if self.qp is None:
             return memory, Refined(R_net, pose.std_rad, unseen, {}, None)
         R = R_net.copy()
-        R[self._free] = R_net[self._free] @ ori.exp(memory.xi)
+        coast = np.exp(-dt / self.settings.step_memory_s) * memory.step
+        before, onward = ori.exp(np.stack([memory.xi, coast]))
+        ahead = before @ onward
+        R[self._free] = R_net[self._free] @ ahead
         at = self.kinematics.at(R)
-        terms, refused, events = self._terms(at, memory, pose, sample, seen, dt)
-        answer, dv = self._solve(self._qp, terms, R_net, R, memory, dt)
+        charts = self._charts(ahead, R_net, R, memory)
+        terms, refused, events = self._terms(at, charts.xi, memory, pose, sample, seen, dt)
+        answer, dv = self._solve(self.qp, terms, charts, dt)
         if not answer.ok:
-            memory = replace(memory, xi=np.zeros_like(memory.xi), R_free=R_net[self._free])
+            still = np.zeros_like(memory.xi)
+            memory = replace(memory, xi=still, step=still, R_free=R_net[self._free])
             return memory, Refined(R_net, pose.std_rad, NOT_CONVERGED, events, answer)
-        R[self._free] = R[self._free] @ ori.exp(dv)
-        xi = ori.log(R_net[self._free].transpose(0, 2, 1) @ R[self._free])
+        after = ahead @ ori.exp(dv)
+        R[self._free] = R_net[self._free] @ after
+        xi, step = ori.log(np.stack([after, before.transpose(0, 2, 1) @ after]))
         motion, refused_s, restarted = self._follow(memory, at, dv, refused, sample, dt)
         events["filter restarted"] = restarted
-        memory = replace(memory, xi=xi, R_free=R[self._free], motion=motion, refused_s=refused_s)
+        memory = replace(
+            memory, xi=xi, step=step, R_free=R[self._free], motion=motion, refused_s=refused_s
+        )
         return memory, Refined(R, self._deviation(pose, answer), unseen, events, answer)
 
     def _measured_root(
@@ -161,6 +192,7 @@ class Refinement:
     def _terms(
         self,
         at: Configuration,
+        xi: Array,
         memory: Memory,
         pose: Pose,
         sample: Sample,
@@ -171,7 +203,7 @@ class Refinement:
         s = self.settings
         sigma = self._network_sigma(pose)
         terms = [
-            tasks.network(memory.xi, sigma),
+            tasks.network(xi, sigma),
             tasks.damping(self.kinematics.n, np.deg2rad(s.step_sigma_deg) * np.sqrt(dt)),
         ]
         use = np.flatnonzero(seen & self._limbs)
@@ -195,31 +227,33 @@ class Refinement:
             refused[use] = placed.refused
             terms.append(placed.term)
         turned = int((angle > tasks.MAX_ANGLE).sum())
-        return (
-            terms,
-            refused,
-            {"orientation refused": turned, "position refused": int(refused.sum())},
-        )
+        events = {"orientation refused": turned, "position refused": int(refused.sum())}
+        return terms, refused, events
+
+    def _charts(self, ahead: Array, R_net: Array, R: Array, memory: Memory) -> Charts:
+        """All logarithms that this frame's problem needs, in one call."""
+        R_now, R_free = R[self._free], R_net[self._free]
+        if memory.R_free is None:
+            xi, theta, proposed = ori.log(np.stack([ahead, R_now, R_free]))
+            return Charts(xi, theta, proposed, None)
+        back = R_now.transpose(0, 2, 1) @ memory.R_free
+        return Charts(*ori.log(np.stack([ahead, R_now, R_free, back])))
 
     def _solve(
-        self, qp: LimbQP, terms: list[tasks.Term], R_net: Array, R: Array, memory: Memory, dt: float
+        self, qp: LimbQP, terms: list[tasks.Term], charts: Charts, dt: float
     ) -> tuple[Answer, Array]:
         """The QP's answer in rotation-vector steps, and the same as tangent steps dv (F,3)."""
-        F = len(self.free)
-        R_now = R[self._free]
-        theta, proposed = ori.log(np.stack([R_now, R_net[self._free]]))
+        theta = charts.theta
         # The root's rotation vector has no limits and may pass the half turn: its chart is its tangent.
         B: Array = np.where(self._limited[:, None, None], ori.right_jacobian(theta), np.eye(3))
-        reach = np.inf
-        centre = np.zeros((F, 3))
-        if memory.R_free is not None:
-            back = ori.log(R_now.transpose(0, 2, 1) @ memory.R_free)
-            centre[:] = np.linalg.solve(B, back[..., None])[..., 0]
+        centre, reach = np.zeros_like(theta), np.inf
+        if charts.back is not None:
+            centre[:] = np.linalg.solve(B, charts.back[..., None])[..., 0]
             reach = np.deg2rad(self.settings.rate_limit_deg_s) * dt
-        low, high = tasks.box(theta, proposed, self._lower, self._upper, centre, reach)
+        low, high = tasks.box(theta, charts.proposed, self._lower, self._upper, centre, reach)
         H, g = tasks.in_rotation_vectors(*tasks.normal_equations(terms), B)
         answer = qp.solve(H, g, low.ravel(), high.ravel())
-        return answer, np.einsum("fij,fj->fi", B, answer.x.reshape(F, 3))
+        return answer, np.einsum("fij,fj->fi", B, answer.x.reshape(theta.shape))
 
     def _follow(
         self,

@@ -7,6 +7,19 @@ from dataclasses import dataclass, field
 from hybrid.motion_filter import FilterNoise
 from mocap.errors import PoserError
 
+POSITIVE = (
+    "orientation_sigma_deg",
+    "network_sigma_deg",
+    "network_floor_deg",
+    "step_sigma_deg",
+    "step_memory_s",
+    "position_gate_sigma",
+    "position_robust_sigma",
+    "restart_after_s",
+    "rate_limit_deg_s",
+    "gap_s",
+)
+
 
 @dataclass(frozen=True)
 class TrackerSettings:
@@ -16,7 +29,8 @@ class TrackerSettings:
     of a joint for which the network states none. network_scale: factor on the network's own, one for
     all joints or 24 of them, so that validation errors have unit variance (`hybrid.scale`).
     network_floor_deg, network_ceiling_deg: what a stated sigma is kept within. step_sigma_deg: change of
-    the refinement (network's joint to ours) in one second, growing with the root of time.
+    the refinement (network's joint to ours) in one second, growing with the root of time; it keeps its
+    momentum over step_memory_s.
     position_gate_sigma: predicted positions further off are refused; after restart_after_s of refusals
     in a row the sensor's filter starts anew. position_robust_sigma: beyond it the cost is linear.
     rate_limit_deg_s: of any component of a joint's rotation vector. gap_s: a longer silence of the clock
@@ -29,7 +43,8 @@ class TrackerSettings:
     network_scale: float | tuple[float, ...] = 1.0
     network_floor_deg: float = 1.0
     network_ceiling_deg: float = 60.0
-    step_sigma_deg: float = 25.0
+    step_sigma_deg: float = 8.0
+    step_memory_s: float = 0.05
     positions: bool = True
     position_gate_sigma: float = 4.0
     position_robust_sigma: float = 2.0
@@ -41,10 +56,7 @@ class TrackerSettings:
     filter_noise: FilterNoise = field(default_factory=FilterNoise)
 
     def __post_init__(self) -> None:
-        for name in (
-            "orientation_sigma_deg", "network_sigma_deg", "network_floor_deg", "step_sigma_deg",
-            "position_gate_sigma", "position_robust_sigma", "restart_after_s", "rate_limit_deg_s", "gap_s",
-        ):  # fmt: skip
+        for name in POSITIVE:
             value = getattr(self, name)
             if not 0 < value < float("inf"):
                 raise PoserError(f"TrackerSettings: {name} must be positive, got {value!r}")

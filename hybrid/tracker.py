@@ -88,12 +88,12 @@ class Tracker:
             raise SensorError(
                 f"Tracker: joint and seat must be given for {len(self.sensors)} sensors"
             )
-        self._refinement = Refinement(self.skeleton, np.asarray(joint), seat, self.settings)
+        self.refinement = Refinement(self.skeleton, np.asarray(joint), seat, self.settings)
         self._contact = contact.Contact(self.skeleton)
 
     def init(self) -> TrackerState:
         """A fresh state."""
-        return TrackerState(self.network.init(), (), self._refinement.start(), contact.start())
+        return TrackerState(self.network.init(), (), self.refinement.start(), contact.start())
 
     def step(self, state: TrackerState, sample: Sample) -> tuple[TrackerState, Pose | None]:
         """Feed one sample; the refined pose of `look_ahead_frames` ago, or None before the first."""
@@ -146,9 +146,9 @@ class Tracker:
         state = replace(state, refined_s=pose.time_s)
         if not 0 < dt <= max(self.settings.gap_s, 1.5 * period):
             root = replace(state.root, soles=None)
-            state = replace(state, memory=self._refinement.start(), root=root)
+            state = replace(state, memory=self.refinement.start(), root=root)
             return state, pose, TIME_GAP if dt > 0 else TIME_BACK
-        memory, refined = self._refinement.refine(state.memory, pose, sample, dt)
+        memory, refined = self.refinement.refine(state.memory, pose, sample, dt)
         counts.update(refined.events)
         state = replace(state, memory=memory)
         p = pose.p_world_root
@@ -162,7 +162,7 @@ class Tracker:
         self, root: contact.RootState, R: Array, p: Array, sample: Sample, dt: float
     ) -> contact.RootState:
         """The root's path one frame on, with the pelvis sensor's acceleration where it is worn."""
-        pelvis = self._refinement.pelvis
+        pelvis = self.refinement.pelvis
         acc = np.full(3, np.nan) if pelvis is None else sample.acc_world[pelvis]
         return self._contact.step(root, self._contact.soles(R), acc, dt, p)
 
