@@ -52,12 +52,28 @@ def from_prior(
     return x, root_guess(recording, skeleton, prior.prior)[start:stop]
 
 
+def unwrapped(w: Array) -> Array:
+    """Rotation vectors (T,J,3), principal chart in, each joint continuous in time out.
+
+    A joint that turns past 180 degrees jumps from w to (1 - 2 pi/|w|) w, the same rotation the other way
+    round, by 2 pi: smoothness would see that as a motion. Of the two charts a joint starts in the one that
+    keeps most of its frames principal.
+    """
+    apart = np.linalg.norm(np.diff(w, axis=0), axis=-1)
+    other = np.zeros(w.shape[:2], bool)
+    other[1:] = np.cumsum(apart > np.pi, axis=0) % 2 == 1
+    other ^= other.mean(axis=0) > 0.5
+    angle = np.linalg.norm(w, axis=-1, keepdims=True)
+    turned = w * (1 - 2 * np.pi / np.maximum(angle, 1e-9))
+    return np.where(other[..., None], turned, w)
+
+
 def from_motion(motion: Motion, prior: Conditioned) -> tuple[Array, Array]:
-    """x (T,n) and R_ref (T,3,3) of a motion: its own root, body angles in the principal chart."""
+    """x (T,n) and R_ref (T,3,3) of a motion: its own root, body angles without jumps (`unwrapped`)."""
     T = len(motion)
     x = np.zeros((T, 6 + len(prior.active)))
     x[:, ROOT_P] = motion.p_world_root - motion.p_world_root[0]
-    x[:, BODY] = ori.log(motion.R_parent_joint[:, 1:]).reshape(T, 69)[:, prior.active]
+    x[:, BODY] = unwrapped(ori.log(motion.R_parent_joint[:, 1:])).reshape(T, 69)[:, prior.active]
     return x, np.array(motion.R_parent_joint[:, 0])
 
 

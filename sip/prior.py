@@ -13,8 +13,6 @@ import numpy as np
 from mocap.errors import FormatError
 from mocap.orientation import Array
 
-_FLOOR = np.deg2rad(3.0)
-
 
 @dataclass(frozen=True, eq=False)
 class Prior:
@@ -31,8 +29,12 @@ class Prior:
     roughness: Array
     poses: Array
 
-    def given(self, active: tuple[int, ...]) -> Conditioned:
-        """The prior of the angles of some body joints, and what they tell about the others."""
+    def given(self, active: tuple[int, ...], floor: float) -> Conditioned:
+        """The prior of the angles of some body joints, and what they tell about the others.
+
+        floor: rad, a standard deviation that is added to every angle's own, so that angles that hardly move
+        do not rule the others.
+        """
         a = (
             np.concatenate([np.r_[3 * j - 3 : 3 * j] for j in active])
             if active
@@ -40,10 +42,9 @@ class Prior:
         )
         b = np.setdiff1d(np.arange(69), a)
         S = self.covariance
-        # The floor keeps angles that hardly move from ruling the others.
-        gain = np.linalg.solve(S[np.ix_(a, a)] + _FLOOR**2 * np.eye(len(a)), S[np.ix_(a, b)]).T
+        gain = np.linalg.solve(S[np.ix_(a, a)] + floor**2 * np.eye(len(a)), S[np.ix_(a, b)]).T
         rest = S[np.ix_(b, b)] - gain @ S[np.ix_(a, b)]
-        return Conditioned(self, a, b, gain, rest)
+        return Conditioned(self, a, b, gain, rest, floor)
 
     @classmethod
     def load(cls, path: Path) -> Prior:
@@ -69,7 +70,7 @@ class Conditioned:
 
     Passive joints are above no sensor: no measurement depends on them, so the posterior's mean for them is
     mean_b + gain (theta_a - mean_a), gain = Sigma_ba (Sigma_aa + floor^2 I)^-1, exactly, and they need no
-    unknowns. rest (b,b): what remains uncertain of them.
+    unknowns. rest (b,b): what remains uncertain of them. floor: rad, as in `Prior.given`.
     """
 
     prior: Prior
@@ -77,6 +78,7 @@ class Conditioned:
     passive: Array
     gain: Array
     rest: Array
+    floor: float
 
     @property
     def mean(self) -> Array:
@@ -112,7 +114,7 @@ class Conditioned:
         out = np.empty((len(covariance), 69))
         out[:, self.active] = np.einsum("tii->ti", covariance)
         spread = np.einsum("bi,tij,bj->tb", self.gain, covariance, self.gain, optimize=True)
-        out[:, self.passive] = spread + np.maximum(np.diag(self.rest), 0) + _FLOOR**2
+        out[:, self.passive] = spread + np.maximum(np.diag(self.rest), 0) + self.floor**2
         return out
 
 

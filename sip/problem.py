@@ -244,7 +244,7 @@ def build(
     """The problem of this recording. Terms as in the design's table; SOP has no acceleration term."""
     k = kinematics or SensorKinematics(skeleton, recording.joint, recording.placement)
     s, rate = settings, recording.rate_hz
-    prior = settings.prior.given(k.active)
+    prior = settings.prior.given(k.active, s.prior_floor)
     R_meas = sanitised(recording)
     border = s.self_calibration
     terms: list[Term] = [

@@ -62,17 +62,18 @@ def solve(
     """Reference poses for a recording: SIP, or SOP, over the whole sequence.
 
     skeleton: the body (default: the mean shape). progress(fraction, words) is called from time to time.
-    Raises SolveError where no frame has a usable orientation.
+    Raises SolveError where no frame has a usable orientation, or the start is not of this length and rate.
     """
     skeleton, settings = skeleton or Skeleton.default(), settings or Settings()
     if not recording.ori_valid.any():
         raise SolveError("the recording has no valid orientation of any sensor in any frame")
-    if isinstance(settings.start, Motion) and len(settings.start) != len(recording):
-        raise SolveError(
-            f"the start has {len(settings.start)} frames, the recording {len(recording)}"
-        )
     began = time.perf_counter()
     kinematics = SensorKinematics(skeleton, recording.joint, recording.placement)
+    prior = settings.prior.given(kinematics.active, settings.prior_floor)
+    given = None
+    if isinstance(settings.start, Motion):
+        _check_start(settings.start, recording)
+        given = initial.from_motion(settings.start, prior)
     # The overlap is a time: what happens there must have been seen by both windows.
     overlap = round(settings.overlap * max(1.0, recording.rate_hz / 60))
     plan = windows(len(recording), settings.window, min(overlap, settings.window // 2))
@@ -82,10 +83,19 @@ def solve(
         for i, w in enumerate(plan):
             tell = _windowed(progress, i, len(plan))
             before = parts[-1] if parts else None
-            part = _solve_window(recording, skeleton, settings, kinematics, w, before, tell)
+            part = _solve_window(recording, skeleton, settings, kinematics, given, w, before, tell)
             parts.append(part)
-    prior = settings.prior.given(kinematics.active)
     return _assemble(recording, skeleton, settings, prior, parts, time.perf_counter() - began)
+
+
+def _check_start(start: Motion, recording: Recording) -> None:
+    """Raise SolveError unless the start has the recording's frames."""
+    if len(start) != len(recording):
+        raise SolveError(f"the start has {len(start)} frames, the recording {len(recording)}")
+    if abs(start.rate_hz - recording.rate_hz) > 1e-6 * recording.rate_hz:
+        raise SolveError(
+            f"the start runs at {start.rate_hz:g} Hz, the recording at {recording.rate_hz:g} Hz"
+        )
 
 
 def _windowed(progress: Progress | None, i: int, count: int) -> Progress:
@@ -122,13 +132,16 @@ def _solve_window(
     skeleton: Skeleton,
     settings: Settings,
     kinematics: SensorKinematics,
+    given: tuple[Array, Array] | None,
     window: Window,
     before: _Part | None,
     tell: Progress,
 ) -> _Part:
     cold = settings.solver == "ipopt-cold"
     u0 = np.zeros((kinematics.S, CONSTANTS)) if before is None else before.u
-    x, R_ref, u, iterations = _start(recording, skeleton, settings, kinematics, window, u0, tell)
+    x, R_ref, u, iterations = _start(
+        recording, skeleton, settings, kinematics, given, window, u0, tell
+    )
     # The last frames that the window before keeps are given: differences reach across the seam.
     past = 0 if before is None else PAST
     piece = recording.slice(window.start - past, window.stop)
@@ -199,16 +212,20 @@ def _start(
     skeleton: Skeleton,
     settings: Settings,
     kinematics: SensorKinematics,
+    given: tuple[Array, Array] | None,
     window: Window,
     u: Array,
     tell: Progress,
 ) -> tuple[Array, Array, Array, int]:
-    """x, R_ref, u where the solve of a window starts, and the iterations that it took."""
-    prior = settings.prior.given(kinematics.active)
-    piece = recording.slice(window.start, window.stop)
-    if isinstance(settings.start, Motion):
-        x, R_ref = initial.from_motion(settings.start.slice(window.start, window.stop), prior)
+    """x, R_ref, u where the solve of a window starts, and the iterations that it took.
+
+    given: x and R_ref of the whole recording, if the user has a start.
+    """
+    if given is not None:
+        x, R_ref = (a[window.start : window.stop].copy() for a in given)
         return x, R_ref, u, 0
+    prior = settings.prior.given(kinematics.active, settings.prior_floor)
+    piece = recording.slice(window.start, window.stop)
     x, R_ref = initial.from_prior(recording, skeleton, prior, window.start, window.stop)
     if settings.solver == "ipopt-cold":
         if settings.terms == "sop":

@@ -153,7 +153,7 @@ def test_passive_joints_follow_from_the_prior(rng: np.random.Generator) -> None:
     A = rng.normal(size=(69, 69))
     prior = Settings().prior
     prior = replace(prior, covariance=A @ A.T / 69, lower=np.full(69, -9.0), upper=np.full(69, 9.0))
-    given = prior.given((1, 2, 4, 5))
+    given = prior.given((1, 2, 4, 5), np.deg2rad(3.0))
     theta = given.complete(given.mean + rng.normal(size=(1, 12)))[0]
     floor = np.deg2rad(3.0) ** 2 * np.diag(np.isin(np.arange(69), given.active).astype(float))
     gradient = np.linalg.solve(prior.covariance + floor, theta - prior.mean)

@@ -12,7 +12,7 @@ from mocap import Recording, sensors, synthesis
 from mocap import orientation as ori
 from mocap.errors import SolveError
 from poser.motions import walk
-from sip import Settings, solve
+from sip import Settings, initial, solve
 from sip.solve import windows
 from tests.sip.conftest import wavy
 
@@ -127,8 +127,29 @@ def test_no_valid_sample_is_refused(recording: Recording) -> None:
 
 
 def test_start_of_another_length_is_refused(recording: Recording) -> None:
-    with pytest.raises(SolveError, match="frames"):
+    with pytest.raises(SolveError, match="the start has 7 frames, the recording 40"):
         solve(recording, settings=Settings(start=wavy(7)))
+
+
+def test_start_of_another_rate_is_refused(recording: Recording) -> None:
+    with pytest.raises(SolveError, match="the start runs at 50 Hz, the recording at 60 Hz"):
+        solve(recording, settings=Settings(start=wavy(40, 50.0)))
+
+
+def test_a_start_past_a_half_turn_does_not_jump() -> None:
+    """A wrist that winds from 150 to 210 degrees and back: rotation vectors of the same rotations."""
+    angle = np.deg2rad(180 + 30 * np.sin(np.linspace(0, 12, 80)))
+    for sign in (1, -1):
+        axis = sign * np.array([0.6, 0.0, 0.8])
+        w = angle[:, None, None] * axis
+        R = ori.exp(w)
+        chart = ori.log(R)
+        assert np.linalg.norm(np.diff(chart, axis=0), axis=-1).max() > 5
+        smooth = initial.unwrapped(chart)
+        assert np.linalg.norm(np.diff(smooth, axis=0), axis=-1).max() < 0.2
+        assert np.allclose(ori.exp(smooth), R, atol=1e-9)
+    still = np.zeros((5, 2, 3))
+    assert np.array_equal(initial.unwrapped(still), still)
 
 
 @pytest.mark.parametrize("frames", [1, 99, 100, 101, 250, 999])
