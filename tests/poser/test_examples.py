@@ -17,6 +17,7 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
         ("synthesize_and_solve", 3, "SIP: "),
         ("calibrate_raw", 11, "the same"),
         ("fewer_sensors", 3, "pelvis alone"),
+        ("live_loop", 1, "60 poses"),
     ],
 )
 def test_example(name: str, seconds: int, said: str, tmp_path: Path) -> None:
@@ -30,4 +31,10 @@ def test_example(name: str, seconds: int, said: str, tmp_path: Path) -> None:
 
 def test_every_example_is_tested() -> None:
     names = {p.stem for p in EXAMPLES.glob("*.py")}
-    assert names == {"synthesize_and_solve", "calibrate_raw", "fewer_sensors"}
+    assert names == {
+        "synthesize_and_solve",
+        "calibrate_raw",
+        "fewer_sensors",
+        "live_loop",
+        "send_udp",
+    }
