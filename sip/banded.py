@@ -109,7 +109,7 @@ def minimise(
     true cost falls; lambda follows the ratio of actual to predicted decrease (Nielsen's rule). It has
     converged when a step brings, or no step can bring, a relative decrease of `tolerance`, and the whole step
     without damping promises less than that too. It stops without having converged at max_iterations, after
-    three steps that bring less although more is promised, or when every promised decrease fails to come.
+    three steps that bring less although more is promised, or where only steps too short to matter are left.
     Raises SolveError where no finite cost can be had.
     """
     max_iterations = max_iterations or problem.settings.max_iterations
@@ -180,7 +180,7 @@ def minimise(
     elif iteration >= max_iterations:
         rule = f"stopped at the limit of {max_iterations} iterations"
     elif stuck:
-        rule = "stalled where no step lowers the cost"
+        rule = "stalled on steps too short to lower the cost"
     else:
         rule = f"stopped after {_SLOW} steps that each lowered the cost by less than {tolerance:g}"
     norm = scaled_norm(np.where(free, grad, 0), grad_u, band)

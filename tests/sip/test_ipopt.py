@@ -9,6 +9,7 @@ import pytest
 
 from mocap import Skeleton, sensors, synthesis
 from sip import Settings, banded, initial, ipopt
+from sip.band import Factor
 from sip.problem import Problem, build
 from tests.sip.conftest import wavy
 from tests.sip.test_band import dense
@@ -73,3 +74,22 @@ def test_finish_is_short_where_limits_bind() -> None:
     assert problem.cost(done.point) == pytest.approx(problem.cost(hard.point), rel=1e-4)
     cold = ipopt.minimise(problem, x, R_ref, soft.u, False)
     assert problem.cost(done.point) <= problem.cost(cold.point) * (1 + 1e-4)
+
+
+@pytest.mark.parametrize("calibrating", [False, True])
+def test_size_grows_linearly_with_length(calibrating: bool) -> None:
+    """Each further frame adds the same to the band, to its factor and to what IPOPT is given."""
+    sizes = []
+    for frames in (10, 20, 30, 40):
+        problem = built(Settings(self_calibration=calibrating), frames)
+        x, R_ref = initial.from_prior(problem.recording, problem.skeleton, problem.prior, 0, frames)
+        band = problem.hessian(problem.point(x, R_ref, np.zeros((problem.S, 7))))
+        factor = Factor(band, 1e-6, 1e-6)
+        triangle = ipopt._Triangle(problem, np.ones(frames * problem.n + problem.border))
+        held = [factor.diag, factor.panel] + ([] if factor.border is None else [factor.border])
+        sizes.append((band.blocks.size, sum(a.size for a in held), triangle.sparsity.nnz()))
+        # Accelerations and smoothness reach two frames: three block diagonals, whatever the length.
+        assert band.blocks.shape == (frames, 3, problem.n, problem.n)
+    steps = np.diff(sizes, axis=0)
+    assert (steps[0] > 0).all()
+    assert (steps == steps[0]).all()

@@ -27,11 +27,15 @@ VARIANTS = [
 
 
 def away(
-    recording: Recording, settings: Settings, rng: np.random.Generator, size: float = 0.05
+    recording: Recording,
+    settings: Settings,
+    rng: np.random.Generator,
+    size: float = 0.05,
+    fixed: int = 0,
 ) -> tuple[Problem, Point]:
     """A problem, and a random point near the truth."""
     assert recording.reference is not None
-    problem = build(recording, Skeleton.default(), settings)
+    problem = build(recording, Skeleton.default(), settings, fixed=fixed)
     x, R_ref = initial.from_motion(recording.reference, problem.prior)
     u = np.zeros((problem.S, 7))
     if settings.self_calibration:
@@ -67,6 +71,38 @@ def test_gradient_and_gauss_newton_matrix(
                 weight = 1 / term._robust(term.residual(point))[..., None]
             numeric += float(np.sum(weight * dr**2))
         assert np.vdot(dx, Hx) + Hu @ flat == pytest.approx(numeric, rel=1e-6)
+
+
+@pytest.mark.parametrize("variant", [{}, {"self_calibration": True}, {"smooth_order": 3}], ids=str)
+def test_derivatives_where_the_first_frames_are_given(
+    rng: np.random.Generator, wide, variant: dict
+) -> None:
+    """A window's past: it enters the cost, and nothing moves it."""
+    fixed = 3
+    recording = synthesis.recording(wavy(12), sensors.SIX, synthesis.Noise(), 1)
+    settings = Settings(prior=wide, **variant)
+    problem, point = away(recording, settings, rng, fixed=fixed)
+    grad, grad_u = problem.gradient(point)
+    band = problem.hessian(point)
+    assert not grad[:fixed].any()
+    h = 1e-6
+    for _ in range(4):
+        dx = rng.normal(size=point.x.shape)
+        dx[:fixed] = 0
+        du = rng.normal(size=point.u.shape) if problem.border else np.zeros_like(point.u)
+        ends = [problem.point(point.x + s * dx, point.R_ref, point.u + s * du) for s in (-h, h)]
+        numeric = (problem.cost(ends[1]) - problem.cost(ends[0])) / (2 * h)
+        flat = du.ravel()[: problem.border]
+        assert np.vdot(grad, dx) + grad_u @ flat == pytest.approx(numeric, rel=1e-6, abs=1e-4)
+        # The matrix of the free frames is that of the whole problem; the given ones are cut off from it.
+        whole = build(recording, Skeleton.default(), settings).hessian(point)
+        assert np.allclose(band.dot(dx, flat)[0][fixed:], whole.dot(dx, flat)[0][fixed:])
+        assert np.allclose(band.dot(dx, flat)[1], whole.dot(dx, flat)[1])
+    past = np.zeros_like(point.x)
+    past[:fixed] = rng.normal(size=(fixed, problem.n))
+    moved, pulled = band.dot(past, np.zeros(problem.border))
+    assert np.allclose(moved, past)
+    assert not pulled.any()
 
 
 def test_geometric_jacobians_against_automatic_ones(rng: np.random.Generator) -> None:
