@@ -37,8 +37,8 @@ def clean(sample: Any, sensors: int, expected_s: float) -> tuple[Sample, dict[st
     said = valid > 0
     # Past 2 no entry belongs to a rotation; clipped first, huge numbers cannot overflow in the check.
     turns = np.asarray((np.abs(R) < 2).all((-1, -2)))
-    turns[turns] = ori.is_rotation(R[turns])
     if not ori.is_rotation(R[turns], 1e-9).all():
+        turns[turns] = ori.is_rotation(R[turns])
         R[turns] = ori.project(R[turns])
     moves = np.isfinite(acc).all(-1) & (np.abs(acc) <= LARGEST_ACC).all(-1)
     broken = int((said & ~turns & np.isfinite(R).all((-1, -2))).sum())

@@ -109,8 +109,10 @@ class Refinement:
         lower, upper = limits.ranges()
         self._lower, self._upper = lower[self._free], upper[self._free]
         self._limited = np.array([j != 0 for j in self.free], bool)
-        scale = np.broadcast_to(np.asarray(settings.network_scale, float), 24)
-        self._scale = scale[self._free]
+        self._scale, self._plain = (
+            np.broadcast_to(np.asarray(x, float), 24)[self._free][:, None]
+            for x in (settings.network_scale, np.deg2rad(settings.network_sigma_deg))
+        )
         self._limbs = self.joint != 0
 
     def start(self) -> Memory:
@@ -282,13 +284,12 @@ class Refinement:
     def _network_sigma(self, pose: Pose) -> Array:
         """(F,3) rad: the network's deviation of the free joints, scaled and kept in bounds."""
         s = self.settings
-        plain = np.deg2rad(s.network_sigma_deg)
-        if pose.std_rad is None:
-            return np.full((len(self.free), 3), plain)
-        stated = np.asarray(pose.std_rad, float)[self._free]
-        known = np.isfinite(stated) & (stated > 0)
-        scaled = np.where(known, stated, plain) * self._scale[:, None]
-        return np.clip(scaled, np.deg2rad(s.network_floor_deg), np.deg2rad(s.network_ceiling_deg))
+        sigma = np.repeat(self._plain, 3, axis=1)
+        if pose.std_rad is not None:
+            stated = np.asarray(pose.std_rad, float)[self._free]
+            known = np.isfinite(stated) & (stated > 0)
+            sigma = np.where(known, stated * self._scale, sigma)
+        return np.clip(sigma, np.deg2rad(s.network_floor_deg), np.deg2rad(s.network_ceiling_deg))
 
     def _deviation(self, pose: Pose, answer: Answer) -> Array | None:
         """(24,3) rad: the QP's posterior for the free joints, the network's for the others."""

@@ -9,7 +9,6 @@ from mocap.errors import PoserError
 
 POSITIVE = (
     "orientation_sigma_deg",
-    "network_sigma_deg",
     "network_floor_deg",
     "step_sigma_deg",
     "step_memory_s",
@@ -25,9 +24,9 @@ POSITIVE = (
 class TrackerSettings:
     """Sigmas are one standard deviation per axis.
 
-    orientation_sigma_deg: measured bone orientation (mounting, heading, soft tissue). network_sigma_deg:
-    of a joint for which the network states none. network_scale: factor on the network's own, one for
-    all joints or 24 of them, so that validation errors have unit variance (`hybrid.scale`).
+    orientation_sigma_deg: measured bone orientation (mounting, heading, soft tissue).
+    network_sigma_deg: of a joint for which the network states none. network_scale: factor on what the
+    network states. Each is one number, or 24 of them (`hybrid.scale` finds them on validation motion).
     network_floor_deg, network_ceiling_deg: what a stated sigma is kept within. step_sigma_deg: change of
     the refinement (network's joint to ours) in one second, growing with the root of time; it keeps its
     momentum over step_memory_s.
@@ -39,7 +38,7 @@ class TrackerSettings:
     """
 
     orientation_sigma_deg: float = 5.0
-    network_sigma_deg: float = 12.0
+    network_sigma_deg: float | tuple[float, ...] = 12.0
     network_scale: float | tuple[float, ...] = 1.0
     network_floor_deg: float = 1.0
     network_ceiling_deg: float = 60.0
@@ -62,8 +61,10 @@ class TrackerSettings:
                 raise PoserError(f"TrackerSettings: {name} must be positive, got {value!r}")
         if not self.network_floor_deg <= self.network_ceiling_deg <= 180:
             raise PoserError("TrackerSettings: network_ceiling_deg must lie between floor and 180")
-        scale = self.network_scale
-        if isinstance(scale, tuple) and len(scale) != 24:
-            raise PoserError(f"TrackerSettings: network_scale needs 24 factors, got {len(scale)}")
-        if not all(0 < s < float("inf") for s in (scale if isinstance(scale, tuple) else (scale,))):
-            raise PoserError("TrackerSettings: network_scale must be positive")
+        for name in ("network_sigma_deg", "network_scale"):
+            value = getattr(self, name)
+            values = value if isinstance(value, tuple) else (value,)
+            if isinstance(value, tuple) and len(value) != 24:
+                raise PoserError(f"TrackerSettings: {name} needs 24 values, got {len(value)}")
+            if not all(0 < v < float("inf") for v in values):
+                raise PoserError(f"TrackerSettings: {name} must be positive")
