@@ -99,14 +99,14 @@ def make(
 
     runtime.one_thread()
     model = checkpoint.load(weights or checkpoint.shipped(which), which)
-    names = tuple(found.values())
+    names, precision = tuple(found.values()), runtime.fastest()
     estimator: Estimator
     if isinstance(model, Dip):
-        estimator = online.dip(model, rate_hz, window or (20, 5), names, skeleton)
+        estimator = online.dip(model, rate_hz, window or (20, 5), names, skeleton, precision)
     else:
         assert isinstance(model, Imuposer)
         place = tuple(places.FIVE.index(p) for p in found)
-        estimator = online.imuposer(model, rate_hz, names, place, skeleton)
+        estimator = online.imuposer(model, rate_hz, names, place, skeleton, precision)
     if method == "imuposer-adam":
         from learned.refine import AdamEstimator
 

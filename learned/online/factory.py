@@ -1,4 +1,4 @@
-"""Online estimators of models."""
+"""Online estimators of models. precision: of the recurrent matrices (`learned.runtime`)."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from learned.models import Dip, Imuposer
 from learned.online.dip import DipWindow
 from learned.online.estimator import Online
 from learned.online.imuposer import ImuposerWindow
+from learned.runtime import Precision, prepare
 from mocap import sensors as places
 from mocap.skeleton import Skeleton
 
@@ -16,9 +17,10 @@ def dip(
     window: tuple[int, int] = (20, 5),
     sensors: tuple[str, ...] = places.SIX,
     skeleton: Skeleton | None = None,
+    precision: Precision = "float32",
 ) -> Online:
     """DIP on samples at `rate_hz`; sensors: the six, in DIP's order, under the recording's names."""
-    return Online(DipWindow(model, window, sensors), rate_hz, skeleton)
+    return Online(DipWindow(model, window, sensors, prepare(model, precision)), rate_hz, skeleton)
 
 
 def imuposer(
@@ -27,6 +29,8 @@ def imuposer(
     sensors: tuple[str, ...],
     place: tuple[int, ...] | None = None,
     skeleton: Skeleton | None = None,
+    precision: Precision = "float32",
 ) -> Online:
     """IMUPoser on samples at `rate_hz`; sensors and place: as in `ImuposerWindow`."""
-    return Online(ImuposerWindow(model, sensors, place), rate_hz, skeleton)
+    window = ImuposerWindow(model, sensors, place, runtime=prepare(model, precision))
+    return Online(window, rate_hz, skeleton)

@@ -1,0 +1,198 @@
+"""Speed, exactness and memory of the networks online.
+
+    python benchmarks/networks.py               a frame each way, against the plain forward in the same run
+    python benchmarks/networks.py --minutes 60  memory over an hour of streaming (small network, full speed)
+    python benchmarks/networks.py --adam        learning rate of imuposer-adam, CMU validation clips
+
+Weights: the shipped ones, others with --dip FILE, --imuposer FILE, none with --untrained. Each way takes its
+turn frame by frame, so that a change of the machine's speed meets all of them. "cpu" is the time of the
+calling thread alone: on a busy machine compare these. One thread.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from common import machine, row
+from torch import Tensor
+
+from learned import checkpoint, online, runtime
+from learned import kinematics as kin
+from learned.features import COMBINATIONS, dip_pose, imuposer_input, imuposer_pose
+from learned.models import Dip, Imuposer, Model, build, for_network
+from learned.refine import AdamSettings, refine
+from learned.validation import cut, worn_in_turn
+from mocap import Motion, Recording, dataset, metrics, sensors, synthesis
+from mocap.estimator import replay, samples
+from poser import motions
+
+WIDTHS = (34, 9, 9, 9, 9, 11, 10)
+
+
+def model_of(network: str, path: Path | None, untrained: bool, hidden: int = 512) -> Model:
+    torch.manual_seed(0)
+    if untrained:
+        return build(for_network(network, hidden=hidden)).eval().requires_grad_(False)
+    return checkpoint.load(path or checkpoint.shipped(network), network)
+
+
+def inputs_of(model: Model, count: int) -> tuple[Tensor, int]:
+    """Inputs (count,T,60) of windows of noisy sensors on the built-in motion, and the emitted frame."""
+    rate, names = model.config.rate_hz, model.config.sensors
+    made = synthesis.recording(motions.builtin(rate, 30.0), names, synthesis.Noise(), 0)
+    past, future = (20, 5) if isinstance(model, Dip) else (124, 0)
+    w = cut([made], past, future, max(1, len(made) // count))
+    if isinstance(model, Dip):
+        return model.inputs(w.R_world_bone, w.acc_world)[0][:count], past
+    worn = worn_in_turn(0, len(w.clip))
+    return imuposer_input(w.R_world_bone, w.acc_world, worn)[:count], past
+
+
+def ways(model: Model) -> dict[str, tuple[runtime.Runtime, bool]]:
+    """Name -> runtime, and whether its rows are kept from frame to frame."""
+    found: dict[str, tuple[runtime.Runtime, bool]] = {
+        "plain forward": (runtime.Plain(model), False),
+        "pruned, exact": (runtime.prepare(model, reach=1000), True),
+        "pruned, layer 2 from 40": (runtime.prepare(model), True),
+        "the same, layer 2 from 20": (runtime.prepare(model, reach=20), True),
+        "the same, layer 2 from 10": (runtime.prepare(model, reach=10), True),
+        "layer 2 from 40, bfloat16": (runtime.prepare(model, "bfloat16"), True),
+        "layer 2 from 40, int8 (default)": (runtime.prepare(model, "int8"), True),
+    }
+    quantised = torch.ao.quantization.quantize_dynamic(model, {torch.nn.LSTM}, dtype=torch.qint8)
+    return found | {"plain forward, dynamic int8": (runtime.Plain(quantised), False)}
+
+
+def pose_of(model: Model, way: runtime.Runtime, features: Tensor) -> Tensor:
+    """Global rotations (24,3,3), the pelvis of DIP upright."""
+    if isinstance(model, Dip):
+        out = runtime.gaussian(model, way, features).pose
+        return kin.rotations(dip_pose(model.output_scaler.unscale(out), torch.eye(3)))
+    return kin.rotations(imuposer_pose(runtime.pose_numbers(model, way, features)))
+
+
+@torch.inference_mode()
+def speed(model: Model, frames: int) -> None:
+    """Wall and thread time of a frame, and the difference of its pose from the plain forward's."""
+    x, emit = inputs_of(model, frames)
+    found = ways(model)
+    wall: dict[str, list[float]] = {name: [] for name in found}
+    cpu: dict[str, list[float]] = {name: [] for name in found}
+    off: dict[str, list[float]] = {name: [] for name in found}
+    for k, window in enumerate(x):
+        truth = None
+        for name, (way, keeps) in found.items():
+            rows = way.rows(window)
+            began, began_cpu = time.perf_counter(), time.thread_time()
+            if (
+                keeps
+            ):  # all but those of the newest frame (IMUPoser: of five at the edges) are at hand
+                way.rows(window[-1:] if isinstance(model, Dip) else window[-5:])
+            features = way.features(rows, emit)
+            if k >= 2:
+                wall[name].append(1e3 * (time.perf_counter() - began))
+                cpu[name].append(1e3 * (time.thread_time() - began_cpu))
+            pose = pose_of(model, way, features)
+            truth = pose if truth is None else truth
+            off[name].append(float(torch.rad2deg(kin.angle_between(pose, truth)).max()))
+    print(row((f"{model.config.network}, {x.shape[1]} frames", "p50 ms", "p99 ms", "p50 cpu", "of plain",
+               "mean deg", "max deg"), WIDTHS))  # fmt: skip
+    base = np.median(cpu["plain forward"])
+    for name in found:
+        middle = np.median(cpu[name])
+        cells = (
+            f"{np.median(wall[name]):.1f}", f"{np.percentile(wall[name], 99):.1f}", f"{middle:.1f}",
+            f"{middle / base:.2f}", f"{np.mean(off[name]):.5f}", f"{max(off[name]):.4f}",
+        )  # fmt: skip
+        print(row((name, *cells), WIDTHS), flush=True)
+
+
+def memory(network: str, minutes: float) -> None:
+    """Resident memory while samples stream: everything but the size of the matrices is as it is."""
+    model = model_of(network, None, True, hidden=16)
+    names = model.config.sensors[:3] if network == "imuposer" else model.config.sensors
+    rate = 100.0
+    made = synthesis.recording(motions.builtin(rate, 20.0), names, synthesis.Noise(), 0)
+    estimator = (
+        online.dip(model, rate) if isinstance(model, Dip) else online.imuposer(model, rate, names)
+    )
+    rows = list(samples(made))
+    state, total = estimator.init(), int(60 * minutes * rate)
+    for k in range(total):
+        sample = replace(rows[k % len(rows)], time_s=k / rate)
+        state, _ = estimator.step(state, sample)
+        if k % max(1, total // 6) == 0 or k == total - 1:
+            print(
+                f"{network}: {k / rate / 60:6.1f} min streamed: {resident_mb():.1f} MB", flush=True
+            )
+
+
+def resident_mb() -> float:
+    status = Path("/proc/self/statm")
+    if status.exists():
+        return int(status.read_text().split()[1]) * resource.getpagesize() / 2**20
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10  # not Linux: the peak
+
+
+def adam(model: Model, clips: int) -> None:
+    """Errors of imuposer-adam by learning rate, on validation clips with realistic noise."""
+    assert isinstance(model, Imuposer)
+    rates = (0.0, 0.01, 0.02, 0.03, 0.05, 0.08, 0.12)
+    names = ("sip_deg", "angular_deg", "position_cm")
+    found: dict[float, list[list[float]]] = {rate: [] for rate in rates}
+    for k, (_, motion) in enumerate(dataset.clips("validation", ("cmu",), 25.0, 4.0, 8.0)):
+        if k == clips:
+            break
+        worn = [sensors.FIVE[i] for i in COMBINATIONS[(7 * k + 3) % len(COMBINATIONS)]]
+        made = synthesis.recording(motion, tuple(worn), synthesis.Noise(), k)
+        done = replay(online.imuposer(model, 25.0, made.sensors), made).motion
+        for rate in rates:
+            out = done if rate == 0 else refined(done, made, AdamSettings(learning_rate=rate))
+            errors = metrics.evaluate(out, made.reference)
+            found[rate].append([errors[name] for name in names])  # type: ignore[list-item]
+    widths = (14, 10, 14, 12)
+    print(row(("learning rate", *names), widths))
+    for rate in rates:
+        print(row((rate or "none", *(f"{x:.3f}" for x in np.mean(found[rate], axis=0))), widths))
+
+
+def refined(motion: Motion, recording: Recording, settings: AdamSettings) -> Motion:
+    """The motion with each frame refined towards the recording's valid orientations."""
+    R = np.array(motion.R_parent_joint)
+    for t, ok in enumerate(recording.ori_valid):
+        joints = tuple(int(j) for j in recording.joint[ok])
+        R[t] = refine(R[t], joints, recording.R_world_bone[t, ok], settings)
+    return replace(motion, R_parent_joint=R)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--frames", type=int, default=40)
+    parser.add_argument("--minutes", type=float)
+    parser.add_argument("--adam", action="store_true")
+    parser.add_argument("--clips", type=int, default=12)
+    parser.add_argument("--untrained", action="store_true")
+    parser.add_argument("--dip", type=Path)
+    parser.add_argument("--imuposer", type=Path)
+    args = parser.parse_args()
+    runtime.one_thread()
+    print(machine())
+    files = {"dip": args.dip, "imuposer": args.imuposer}
+    if args.adam:
+        adam(model_of("imuposer", args.imuposer, args.untrained), args.clips)
+    elif args.minutes:
+        for network in files:
+            memory(network, args.minutes)
+    else:
+        for network, path in files.items():
+            speed(model_of(network, path, args.untrained), args.frames)
+
+
+if __name__ == "__main__":
+    main()
