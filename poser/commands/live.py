@@ -8,28 +8,24 @@ a motion file then holds everything so far.
 
 from __future__ import annotations
 
-import sys
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from poser import files, options
-from poser.console import DONE, UsageError, complain, emit, say, table
+from poser.console import DONE, UsageError, complain, emit
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from mocap.skeleton import Skeleton
     from poser.live.alignment import Constants, PoseWatch
-    from poser.live.loop import Report
     from poser.live.sinks import Sink
     from poser.live.sources import Network, Source
 
 HELP = "poses while the person moves, from the network or a recording"
 METHODS = ("dip", "imuposer", "imuposer-adam", "hybrid", "hybrid-dip", "hybrid-imuposer")
-FIVE_METHODS = ("imuposer", "imuposer-adam", "hybrid-imuposer")
 SUFFIXES = (".npz", ".bvh")
-STATUS_S = 1.0
 
 
 def _speed(text: str) -> float | None:
@@ -97,40 +93,40 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def run(args: Namespace) -> int:
     from mocap.skeleton import Skeleton
-    from poser import estimators  # type: ignore[attr-defined]
-    from poser.live import loop
+    from poser import estimators
+    from poser.live import loop, telling
 
-    if args.network and args.method != "hybrid":
-        raise UsageError("argument --network: it is the hybrid's; the other methods name theirs")
+    network = estimators.network_of(args.method, args.network)
     skeleton = Skeleton.default(args.height)
-    source = _source(args)
+    source = _source(args, network)
     sinks: list[Sink] = []
     report = loop.Report()
     try:
-        method = f"hybrid-{args.network}" if args.network else args.method
-        estimator = estimators.make(method, source.rate_hz, source.sensors)
+        if network == "imuposer" and not args.devices:
+            estimators.check_devices(estimators.used(network, source.sensors))
+        estimator = estimators.make(
+            args.method, source.rate_hz, source.sensors, network=args.network, skeleton=skeleton
+        )
+        source.read(estimator.sensors)
         for text in args.sink:
             sinks.append(_sink(text, source, skeleton, args))
         source.open()
         _announce(args, source)
-        loop.run(source, estimator, sinks, skeleton, report, _Teller(source).tell)
+        loop.run(source, estimator, sinks, skeleton, report, telling.Teller(source, sinks).tell)
     finally:
         loop.close(source, sinks, report)
-        if report.samples:
-            _tell(report, args)
+        if report.samples and args.json:
+            emit(report.to_dict() | {"method": args.method, "network": network})
+        elif report.samples:
+            telling.summary(report)
     return DONE
 
 
-def _sensors(args: Namespace, available: tuple[str, ...] | None) -> tuple[str, ...]:
-    """The sensors as told, else those that the method is made for."""
-    five = args.method in FIVE_METHODS or args.network == "imuposer" or args.devices
-    return options.sensors(args.sensors or ("five" if five else "six"), available)
-
-
-def _source(args: Namespace) -> Source:
+def _source(args: Namespace, network: str) -> Source:
     kind, _, rest = args.source.partition(":")
     if kind in ("udp", "osc") and rest:
-        return _network(args, kind, rest)
+        usual = "five" if network == "imuposer" or args.devices else "six"
+        return _network(args, kind, rest, options.sensors(args.sensors or usual))
     from poser.live.sources import Replay
 
     path = Path(args.source)
@@ -143,10 +139,11 @@ def _source(args: Namespace) -> Source:
     if args.seconds is not None:
         recording = recording.slice(0, max(1, round(args.seconds * recording.rate_hz)))
     with files.about(path):
-        return Replay(recording.select(_sensors(args, recording.sensors)), args.speed)
+        names = options.sensors(args.sensors, recording.sensors)
+        return Replay(recording.select(names), args.speed)
 
 
-def _network(args: Namespace, kind: str, rest: str) -> Network:
+def _network(args: Namespace, kind: str, rest: str, sensors: tuple[str, ...]) -> Network:
     from poser.live import addresses, osc, packets
     from poser.live.assembler import Assembler
     from poser.live.sources import Network, Receiver, y_up
@@ -154,7 +151,6 @@ def _network(args: Namespace, kind: str, rest: str) -> Network:
     if args.speed != 1.0:
         raise UsageError("argument --speed: for a recording, not for sensors from the network")
     address = addresses.parse(rest, "argument --source")
-    sensors = _sensors(args, None)
     tracker, where = _tracker(args), _where(args, sensors)
     devices = tuple(where)
     if kind == "osc":
@@ -259,66 +255,3 @@ def _sink(text: str, source: Source, skeleton: Skeleton, args: Namespace) -> Sin
     path = Path(text)
     files.check_output(path, [], SUFFIXES)
     return MotionFile(path, source.rate_hz, skeleton)
-
-
-class _Teller:
-    """A line on stderr once a second, where stderr is a terminal."""
-
-    def __init__(self, source: Source):
-        import time
-
-        self._clock, self._source = time.monotonic, source
-        self._told = 0.0
-
-    def tell(self, report: Report) -> None:
-        if sys.stderr is None or not sys.stderr.isatty():
-            return
-        now = self._clock()
-        if now - self._told < STATUS_S:
-            return
-        self._told = now
-        sys.stderr.write(f"\r{_status(report, self._source)}\x1b[K")
-        sys.stderr.flush()
-
-
-def _status(report: Report, source: Source) -> str:
-    """The last seconds in a line."""
-    if getattr(source, "waiting", False):
-        return "waiting for the pose"
-    p50, p99 = (report.lag.quantile_ms(q, last=300) for q in (0.5, 0.99))
-    words = [f"{report.frames} poses"]
-    if p50 is not None and p99 is not None:
-        words.append(f"latency {p50:.1f} ms (99 %: {p99:.1f})")
-    facts = source.facts()
-    if facts.get("rejected"):
-        words.append(f"{sum(facts['rejected'].values())} messages refused")
-    lost = sum(d["lost"] for d in facts.get("devices", {}).values())
-    return ", ".join(words + ([f"{lost} packets lost"] if lost else []))
-
-
-def _tell(report: Report, args: Namespace) -> None:
-    """The answer: JSON, or tables."""
-    facts = report.to_dict()
-    if args.json:
-        emit(facts | {"method": args.method})
-        return
-    if sys.stderr is not None and sys.stderr.isatty():
-        sys.stderr.write("\r\x1b[K")
-    devices = facts.get("devices", {})
-    if devices:
-        columns = list(next(iter(devices.values())))
-        table(
-            ("device", *(c.replace("_", " ") for c in columns)),
-            [(name, *(str(d[c]) for c in columns)) for name, d in devices.items()],
-        )
-    for reason, count in facts.get("rejected", {}).items():
-        say(f"refused: {reason}: {count}")
-    for text, count in report.notes.items():
-        say(f"fallback: {text}: {count}")
-    for name in report.sinks:
-        say(f"{name}: " + ", ".join(f"{k} {v}" for k, v in report.sinks[name].items()))
-    for words, latency in (("latency", report.lag), ("per frame", report.step)):
-        if len(latency):
-            p50, p99 = latency.quantile_ms(0.5), latency.quantile_ms(0.99)
-            say(f"{words}: {p50:.1f} ms in the middle, {p99:.1f} ms for 99 of 100")
-    say(f"{report.frames} poses of {report.samples} samples")

@@ -37,6 +37,10 @@ class Source(Protocol):
     rate_hz: float
     sensors: tuple[str, ...]
 
+    def read(self, sensors: tuple[str, ...]) -> None:
+        """From now on samples are of these of its sensors, in this order."""
+        ...
+
     def open(self) -> None:
         """Begin: time counts from here. Raises PoserError where it cannot."""
         ...
@@ -71,12 +75,16 @@ class Replay:
         clock: Clock = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ):
-        self.rate_hz, self.sensors = recording.rate_hz, recording.sensors
+        self.rate_hz, self._recording = recording.rate_hz, recording
         self._speed, self._clock, self._sleep = speed, clock, sleep
-        self._samples = samples(recording)
-        self._next: Sample | None = next(self._samples)
         self._first_s = recording.start_s
         self._began: float | None = None
+        self.read(recording.sensors)
+
+    def read(self, sensors: tuple[str, ...]) -> None:
+        self.sensors = sensors
+        self._samples = samples(self._recording.select(sensors))
+        self._next: Sample | None = next(self._samples)
 
     def open(self) -> None:
         self._began = self._clock()
@@ -202,6 +210,9 @@ class Network:
         self._seconds, self._end_s = seconds, np.inf
         self.calibration: Calibration | None = None
 
+    def read(self, sensors: tuple[str, ...]) -> None:
+        self.sensors = sensors
+
     def open(self) -> None:
         self._receiver.open()
         if self._seconds is not None:
@@ -247,6 +258,7 @@ class Network:
         out: dict[str, Any] = {
             "rejected": dict(sorted(self._receiver.rejected.items())),
             "skipped_frames": self._assembler.skipped,
+            "silent": list(self._assembler.silent(self._clock())),
             "devices": {n: c.to_dict() for n, c in self._assembler.counts.items()},
         }
         if self._tracker is not None:

@@ -13,6 +13,7 @@ from poser.viewer import stage
 from poser.viewer.tracks import Track
 
 RATE_HZ = 30.0  # of updates: a browser's connection, not the motion's rate
+STEP_S = 0.01  # of the timeline
 SPACING_M = 1.3
 SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
 
@@ -46,10 +47,8 @@ class Player:
 
     def _controls(self, made: Any) -> None:
         gui = made.gui
-        step = min(1.0 / t.motion.rate_hz for t in self._tracks)
-        self._time = gui.add_slider(
-            "time, s", min=0.0, max=max(self.seconds, step), step=round(step, 4), initial_value=0.0
-        )
+        end = round(max(self.seconds, STEP_S), 2)
+        self._time = gui.add_slider("time, s", 0.0, end, STEP_S, initial_value=0.0)
         self._play = gui.add_button("Pause")
         self._speed = gui.add_dropdown("speed", SPEEDS, initial_value="1")
         self._stay = gui.add_checkbox(

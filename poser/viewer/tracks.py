@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from mocap import orientation as ori
 from mocap import synthesis
+from mocap.calibration import pose_bones
 from mocap.errors import FormatError
 from mocap.formats import Options
 from mocap.motion import Motion
@@ -66,7 +67,7 @@ def read(path: Path, options: Options | None = None) -> Track:
 
 
 def as_measured(recording: Recording) -> Motion:
-    """A standing body whose instrumented joints are turned as measured, all others with their parents.
+    """A body in the N-pose whose instrumented joints are turned as measured, all others with their parents.
 
     Not an estimate: it shows what the sensors say. A lost sample keeps the rotation before it, or after
     it at the start.
@@ -75,9 +76,10 @@ def as_measured(recording: Recording) -> Motion:
     T = len(recording)
     R_world = np.tile(np.eye(3), (T, 24, 1, 1))
     ok = recording.ori_valid
+    standing = body.local_rotations(pose_bones(np.arange(24), "n"))
     for j, parent in enumerate(body.parents):
         if parent >= 0:
-            R_world[:, j] = R_world[:, parent]
+            R_world[:, j] = R_world[:, parent] @ standing[j]
         for s in np.flatnonzero(recording.joint == j)[:1]:
             if ok[:, s].any():
                 first = int(np.argmax(ok[:, s]))

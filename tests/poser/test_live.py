@@ -58,8 +58,9 @@ def test_the_answer_for_people(live: Path, capsys: pytest.CaptureFixture[str]) -
 
 
 def test_the_hybrid_s_network(live: Path, answer: Any, estimators: Any) -> None:  # noqa: F811
-    answer("live", "--source", live, "--speed", "max", "--network", "dip")
-    assert estimators[0][0] == "hybrid-dip"
+    facts = answer("live", "--source", live, "--speed", "max", "--network", "dip")
+    assert (facts["method"], facts["network"]) == ("hybrid", "dip")
+    assert estimators[0][0] == "hybrid"
 
 
 @pytest.mark.parametrize(
@@ -81,7 +82,12 @@ def test_the_hybrid_s_network(live: Path, answer: Any, estimators: Any) -> None:
         (("--source", "{rec}", "--sink", "out.txt"), 2, "must end in .npz or .bvh"),
         (("--source", "{rec}", "--sink", "vmc:port"), 2, "is not PORT"),
         (("--source", "{rec}", "--sensors", "five"), 1, "not in the recording"),
-        (("--source", "{rec}", "--method", "dip", "--network", "dip"), 2, "--network"),
+        (("--source", "udp:9000", "--method", "imuposer"), 1, "choose with --sensors"),
+        (
+            ("--source", "{rec}", "--method", "dip", "--network", "imuposer"),
+            1,
+            "runs the network dip",
+        ),
     ],
 )
 def test_refusals(live: Path, refusal: Any, words: tuple[str, ...], status: int, said: str) -> None:
@@ -97,12 +103,11 @@ def test_calibration_comes_from_what_poser_calibrate_wrote(live: Path, refusal: 
 
 
 PROCESS = """
-import poser, sys, types
+import sys
 sys.path.insert(0, {root!r})
+from poser import estimators
 from tests.poser.live.conftest import Hold
-fake = types.ModuleType("poser.estimators")
-fake.make = lambda method, rate_hz, sensors: Hold(rate_hz, sensors)
-sys.modules["poser.estimators"] = poser.estimators = fake
+estimators.make = lambda method, rate_hz, sensors, **_: Hold(rate_hz, sensors)
 from poser.__main__ import main
 sys.exit(main(None))
 """

@@ -1,0 +1,139 @@
+"""The source of the network with its parts together, on a clock of the test's own: the pose at the start,
+devices that change places, mapped names."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from mocap import orientation as ori
+from mocap import sensors, synthesis
+from mocap.estimator import Sample
+from poser import motions
+from poser.live import alignment, telling
+from poser.live.alignment import PoseWatch
+from poser.live.assembler import Assembler
+from poser.live.devices import Preferences, Tracker
+from poser.live.loop import Report
+from poser.live.packets import Packet, Status
+from poser.live.sources import Network
+
+RATE = 60.0
+
+
+class Script:
+    """Packets at their times in place of a socket."""
+
+    def __init__(self, packets: list[tuple[float, Packet]]):
+        self._packets = sorted(packets, key=lambda p: p[0])
+        self.now = 0.0
+        self.rejected: Counter[str] = Counter()
+        self.closed = False
+
+    def open(self) -> None: ...
+
+    def receive(self, wait_s: float) -> Iterator[tuple[Packet, float]]:
+        self.now += wait_s
+        while self._packets and self._packets[0][0] <= self.now:
+            at, packet = self._packets.pop(0)
+            yield packet, at
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def samples_of(script: Script, source: Network, seconds: float) -> list[Sample]:
+    source.open()
+    out: list[Sample] = []
+    while script.now < seconds:
+        out += source.poll()
+    return out
+
+
+def test_the_pose_then_the_motion() -> None:
+    """Sensors strapped on anyhow: after standing still, samples are of bones, to a few degrees."""
+    motion = motions.joined([motions.stand(3.0), motions.walk(3.0)])
+    quiet = synthesis.Noise(loss=0.0, tissue_deg=0.5, heading_deg=0.0, heading_walk_deg=0.0)
+    raw = synthesis.raw_recording(motion, sensors.SIX, quiet, rng=2)
+    assert raw.R_world_sensor is not None
+    packets = []
+    for t in range(len(raw)):
+        for s in range(6):
+            R = raw.R_world_sensor[t, s]
+            acc = R @ raw.acc[t, s] - alignment.UP_G
+            packets.append((t / RATE, Packet(f"imu-{s}", 7.0 + t / RATE, R, acc, t)))
+    script = Script(packets)
+    devices = tuple(f"imu-{s}" for s in range(6))
+    where = dict(zip(devices, raw.sensors, strict=True))
+    watch = PoseWatch(raw.sensors, RATE, "n", begin_s=0.5)
+    box = Assembler(devices, RATE)
+    source = Network(script, box, raw.sensors, where, watch=watch, clock=lambda: script.now)  # type: ignore[arg-type]
+    got = samples_of(script, source, 5.9)
+    assert source.calibration is not None and not source.waiting
+    assert 1.9 < got[0].time_s < 2.3
+    joints, _ = sensors.joints_and_seats(raw.sensors)
+    off = [
+        ori.angle_between(s.R_world_bone, motion.R_world_joint[round(s.time_s * RATE), joints])
+        for s in got
+    ]
+    assert np.rad2deg(np.mean(off)) < 2.0
+    assert all(s.valid.all() for s in got)
+
+
+def test_a_phone_that_changes_places_moves_to_another_sensor() -> None:
+    """From the pocket into the hand: the samples' validity follows, the source goes on as it is."""
+    pocket, hand = Status(False, True), Status(True, False)
+    packets = []
+    for k in range(360):
+        t = k / RATE
+        R = ori.rot_x(0.3 * np.sin(2 * t))
+        packets.append((t, Packet("phone", t, R, np.zeros(3), k)))
+        if k % 20 == 0:
+            packets.append((t, Packet("phone", t, None, None, None, pocket if t < 3 else hand)))
+            packets.append((t, Packet("stranger", t, R, np.zeros(3), k)))
+    script = Script(packets)
+    devices = ("watch", "phone", "earbuds")
+    source = Network(
+        script, Assembler(devices, RATE), sensors.FIVE, {}, clock=lambda: script.now,  # type: ignore[arg-type]
+        tracker=Tracker(Preferences("right", "left", "left"), RATE),
+    )  # fmt: skip
+    got = samples_of(script, source, 5.9)
+    valid = np.array([s.valid for s in got])
+    t = np.array([s.time_s for s in got])
+    by_name = dict(zip(sensors.FIVE, valid.T, strict=True))
+    assert by_name["right_pocket"][(t > 1.5) & (t < 3)].all()
+    assert by_name["left_wrist"][t > 4].all() and not by_name["right_pocket"][t > 4].any()
+    assert not by_name["head"].any() and not by_name["right_wrist"].any()
+    facts = source.facts()
+    assert facts["places"] == {"phone": "left_wrist"}
+    assert facts["place_changes"] == 2
+    assert facts["rejected"] == {"device unknown": 18}
+    assert facts["silent"] == ["watch", "earbuds"]
+    line = telling.status(Report(), source)
+    assert "phone: left_wrist" in line and "18 messages refused" in line
+    source.close()
+    assert script.closed
+
+
+@pytest.mark.parametrize("rate", [25.0, 60.0, 100.0])
+def test_the_time_of_samples_is_the_time_they_were_measured(rate: float) -> None:
+    """lag_s counts from when the packet of that time arrived."""
+    packets = [
+        (2.0 + k / rate, Packet("head", k / rate, np.eye(3), np.zeros(3), k)) for k in range(100)
+    ]
+    script = Script(packets)
+    box = Assembler(("head",), rate)
+    source = Network(script, box, ("head",), {"head": "head"}, clock=lambda: script.now)  # type: ignore[arg-type]
+    source.open()
+    lags = []
+    while script.now < 2.0 + 100 / rate:
+        for sample in source.poll():
+            lag = source.lag_s(sample.time_s)
+            assert lag is not None
+            lags.append(lag)
+    assert len(lags) in (99, 100)
+    # Asked every 2 ms; a row with its packet there leaves at once.
+    assert np.max(lags[:99]) < 0.0025
