@@ -7,19 +7,22 @@ its figures; loading refuses what does not fit with a sentence.
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 
 from learned.errors import CheckpointError
+from learned.features import Normalisation
 from learned.models import Config, Model, build
 from mocap.formats._files import write_aside
 
 SCHEMA = "poser-weights/1"
 WEIGHTS = Path(__file__).parent / "weights"
+LARGEST_HIDDEN = 8192  # a description that asks for more is damaged
 
 
 def shipped(network: str) -> Path:
@@ -41,7 +44,16 @@ def save(model: Model, path: Path, about: dict[str, Any], half: bool = False) ->
     with write_aside(path) as aside:
         save_file(tensors, aside, metadata={"schema": SCHEMA})
     with write_aside(path.with_suffix(".json")) as aside:
-        aside.write_text(json.dumps(record, indent=1) + "\n")
+        aside.write_text(json.dumps(_plain(record), indent=1, allow_nan=False) + "\n")
+
+
+def _plain(value: Any) -> Any:
+    """JSON has no infinity: null stands for it."""
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def describe(path: Path) -> dict[str, Any]:
@@ -53,7 +65,7 @@ def describe(path: Path) -> dict[str, Any]:
         raise CheckpointError(
             f"{beside}: no such file; weights come with their description"
         ) from None
-    except (OSError, ValueError) as e:
+    except (OSError, ValueError, RecursionError) as e:
         raise CheckpointError(f"{beside}: not a description of weights ({e})") from e
     if not isinstance(record, dict) or record.get("schema") != SCHEMA:
         raise CheckpointError(f"{beside}: schema is not {SCHEMA}")
@@ -66,11 +78,26 @@ def config_of(path: Path) -> Config:
     if not isinstance(stated, dict):
         raise CheckpointError(f"{path.with_suffix('.json')}: holds no config")
     try:
-        return Config(**stated)
+        config = Config(**stated)
+        _check(config)
+        return config
     except (TypeError, ValueError) as e:
         raise CheckpointError(f"{path.with_suffix('.json')}: config does not fit: {e}") from e
     except CheckpointError as e:
         raise CheckpointError(f"{path.with_suffix('.json')}: {e}") from e
+
+
+def _check(config: Config) -> None:
+    """Raises ValueError for a number or a name that no network is built with."""
+    hidden, dropout = config.hidden, config.dropout
+    if not isinstance(hidden, int) or not 1 <= hidden <= LARGEST_HIDDEN:
+        raise ValueError(f"hidden is {hidden!r}, expected 1 to {LARGEST_HIDDEN}")
+    if not isinstance(dropout, int | float) or not 0 <= dropout < 1:
+        raise ValueError(f"dropout is {dropout!r}, expected 0 to 1")
+    if config.normalisation not in get_args(Normalisation):
+        raise ValueError(f"normalisation {config.normalisation!r} unknown")
+    if not isinstance(config.use_acc, bool):
+        raise ValueError(f"use_acc is {config.use_acc!r}, expected true or false")
 
 
 def load(path: Path, network: str | None = None) -> Model:
@@ -98,6 +125,8 @@ def load(path: Path, network: str | None = None) -> Model:
                 f"{path}: tensor {name} has shape {found.get(name, 'none')}, "
                 f"expected {expected.get(name, 'none')}"
             )
+        if not tensors[name].is_floating_point():
+            raise CheckpointError(f"{path}: tensor {name} holds {tensors[name].dtype}, no floats")
         if not torch.isfinite(tensors[name]).all():
             raise CheckpointError(f"{path}: tensor {name} holds values that are not finite")
     model.load_state_dict({k: v.float() for k, v in tensors.items()})

@@ -8,6 +8,8 @@ from, so that another selection of files makes another cache.
 from __future__ import annotations
 
 import hashlib
+import zipfile
+import zlib
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,7 +29,7 @@ LOWPASS_HZ = 8.0
 # do, by half a turn); people do not. Windows with such frames are left out.
 FLIP_RAD = np.deg2rad(110.0)
 _END_JOINTS = (7, 8, 12, 15, 20, 21)
-_VERSION = "3"
+_VERSION = "4"
 
 Float = NDArray[np.float32]
 Progress = Callable[[int, int], None]
@@ -84,7 +86,7 @@ class Corpus:
 
 
 def pack(clips: Iterable[tuple[str, Motion]]) -> Corpus:
-    """A corpus of named motions, each resampled to `RATE_HZ`; the caller has low-passed them.
+    """A corpus of named motions, each resampled to `RATE_HZ`; see `prepared`.
 
     Clips are drawn with probability proportional to the square root of their length: repetitive long
     clips count less than their frames, short ones more.
@@ -110,18 +112,40 @@ def pack(clips: Iterable[tuple[str, Motion]]) -> Corpus:
     )  # fmt: skip
 
 
+def prepared(motion: Motion) -> Motion:
+    """At `RATE_HZ`, low-passed at `LOWPASS_HZ`: what sensors are put on.
+
+    A slower motion is resampled first: the geodesic path between its frames has kinks at the frames,
+    whose second differences are spikes, and the low-pass then rounds them.
+    """
+    if motion.rate_hz < RATE_HZ:
+        return motion.resampled(RATE_HZ).lowpassed(LOWPASS_HZ)
+    return motion.lowpassed(LOWPASS_HZ).resampled(RATE_HZ)
+
+
+def key_of(paths: Sequence[Path]) -> str:
+    """16 hexadecimal digits that change with the files (path, size, time) and with how they are read.
+
+    Raises PoserError where a file is absent.
+    """
+    key = hashlib.sha256(_VERSION.encode())
+    for path in paths:
+        try:
+            stat = path.stat()
+        except OSError as e:
+            raise PoserError(f"{path}: {e.strerror}") from e
+        key.update(f"{path.resolve()}|{stat.st_size}|{stat.st_mtime_ns}\n".encode())
+    return key.hexdigest()[:16]
+
+
 def read(paths: Sequence[Path], progress: Progress | None = None) -> Corpus:
     """The corpus of motion files of any format, from the cache where it is there.
 
     Raises PoserError naming the file where one cannot be read or holds no motion.
     """
-    key = hashlib.sha256(_VERSION.encode())
-    for path in paths:
-        stat = path.stat()
-        key.update(f"{path.resolve()}|{stat.st_size}|{stat.st_mtime_ns}\n".encode())
-    cached = dataset.cache_folder() / f"corpus-{key.hexdigest()[:16]}.npz"
-    if cached.exists():
-        return _load(cached)
+    cached = dataset.cache_folder() / f"corpus-{key_of(paths)}.npz"
+    if (found := _load(cached)) is not None:
+        return found
     corpus = pack(_clips(paths, progress))
     cached.parent.mkdir(parents=True, exist_ok=True)
     with write_aside(cached) as aside:
@@ -132,12 +156,16 @@ def read(paths: Sequence[Path], progress: Progress | None = None) -> Corpus:
     return corpus
 
 
-def _load(path: Path) -> Corpus:
-    with np.load(path, allow_pickle=False) as data:
-        return Corpus(
-            data["q"], data["p"], data["sound"], data["start"], data["length"],
-            tuple(str(n) for n in data["names"]), data["weight"],
-        )  # fmt: skip
+def _load(path: Path) -> Corpus | None:
+    """A cached corpus; None where there is none, or a damaged one, which is made anew."""
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
+            return Corpus(
+                data["q"], data["p"], data["sound"], data["start"], data["length"],
+                tuple(str(n) for n in data["names"]), data["weight"],
+            )  # fmt: skip
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
+        return None
 
 
 def _clips(paths: Sequence[Path], progress: Progress | None) -> Iterable[tuple[str, Motion]]:
@@ -146,6 +174,6 @@ def _clips(paths: Sequence[Path], progress: Progress | None) -> Iterable[tuple[s
         if not isinstance(motion, Motion):
             raise PoserError(f"{path}: holds no motion, but a {type(motion).__name__}")
         if len(motion) >= 8:
-            yield path.stem, motion.lowpassed(LOWPASS_HZ)
+            yield path.stem, prepared(motion)
         if progress:
             progress(i + 1, len(paths))

@@ -7,7 +7,7 @@ from typing import Any
 
 from learned.augmentation import Augmentation
 from learned.errors import TrainingError
-from learned.models import Config
+from learned.models import Config, for_network
 
 
 @dataclass(frozen=True)
@@ -47,8 +47,14 @@ class TrainSettings:
                 raise TrainingError(f"{name} must be 1 or more, got {getattr(self, name)}")
         if self.frames < 8:
             raise TrainingError(f"frames must be 8 or more, got {self.frames}")
-        if not self.learning_rate > 0:
-            raise TrainingError(f"learning_rate must be above zero, got {self.learning_rate}")
+        for name in ("learning_rate", "decay", "clip"):
+            if not getattr(self, name) > 0:
+                raise TrainingError(f"{name} must be above zero, got {getattr(self, name)}")
+        for name in ("cooldown", "average"):
+            if not 0 <= getattr(self, name) < 1:
+                raise TrainingError(f"{name} must lie in [0, 1), got {getattr(self, name)}")
+        if self.minutes is not None and not self.minutes > 0:
+            raise TrainingError(f"minutes must be above zero, got {self.minutes}")
 
     @classmethod
     def paper(cls, network: str, **changes: Any) -> TrainSettings:
@@ -59,8 +65,6 @@ class TrainSettings:
         256 windows of 125 frames (4.3), no decay, no clipping.
         """
         if network == "imuposer":
-            from learned.models import for_network
-
             base: dict[str, Any] = {
                 "config": for_network("imuposer"), "batch": 256, "frames": 125, "learning_rate": 3e-4,
                 "decay": 1.0, "clip": float("inf"),

@@ -1,7 +1,9 @@
 """Training: windows in, checkpoints and a log out; it can be killed at any point and resumed.
 
 A run lives in a folder: `state.pt` (everything needed to go on, replaced as a whole), `log.jsonl` (one line
-per validation), `best.safetensors` with its JSON (the weights of the best validation loss so far).
+per validation), `best.safetensors` with its JSON (the weights of the best validation loss so far). A
+resumed run draws what the uninterrupted one would have drawn; with several processes (`learned.parallel`)
+the others than the first draw anew from their rank and the step.
 """
 
 from __future__ import annotations
@@ -22,7 +24,9 @@ from torch import Tensor
 from learned import checkpoint, losses
 from learned.errors import TrainingError
 from learned.features import COMBINATIONS, dip_target, imuposer_input
+from learned.interrupts import Interrupts
 from learned.models import Dip, Model, build
+from learned.parallel import World
 from learned.settings import TrainSettings
 from learned.validation import Windowed, score
 from learned.virtual import Batch
@@ -31,6 +35,7 @@ from mocap.skeleton import Skeleton
 
 SAVE_EVERY_S = 60.0
 _SCALER_BATCHES = 40  # batches that the scalers are fitted to
+_GO, _DONE, _STOP = 0.0, 1.0, 2.0  # what the first process decides before every step
 
 
 class Source(Protocol):
@@ -43,7 +48,11 @@ Progress = Callable[[dict[str, Any]], None]
 
 
 class Trainer:
-    """One run. `run()` goes on until it is done and returns the path of the best weights."""
+    """One run. `run()` goes on until it is done and returns the path of the best weights.
+
+    data: names what the windows are cut from (`corpus.key_of`); a run is not resumed on other data.
+    start: a trained model to go on from, scalers included.
+    """
 
     def __init__(
         self,
@@ -53,32 +62,33 @@ class Trainer:
         folder: Path,
         about: dict[str, Any] | None = None,
         start: Model | None = None,
-        device: str = "cpu",
+        world: World | None = None,
+        data: str = "",
     ) -> None:
-        self.settings, self.source, self.validation, self.folder = (
-            settings,
-            source,
-            validation,
-            folder,
-        )
-        self.about, self.device = about or {}, torch.device(device)
+        self.settings, self.source, self.validation = settings, source, validation
+        self.folder, self.about, self.data = folder, about or {}, data
+        self.world = world or World()
+        self.device = torch.device(self.world.device)
         self.step, self.seconds, self.best, self.since_best = 0, 0.0, math.inf, 0
+        self.validated, self.loss_sum, self.loss_count = 0, 0.0, 0
         torch.manual_seed(settings.seed)
-        self.rng = np.random.default_rng(settings.seed)
         self.model: Model = build(settings.config) if start is None else copy.deepcopy(start)
         self.model.requires_grad_(True).train().to(self.device)
         self.offsets = torch.as_tensor(
             np.array(Skeleton.default().offsets), dtype=torch.float32
-        ).to(device)
+        ).to(self.device)
         self.state_path = folder / "state.pt"
         resumed = self.state_path.exists()
         if start is None and not resumed and isinstance(self.model, Dip):
             self._fit_scalers(self.model)
+        self._seed()
         self.average = copy.deepcopy(self.model).eval().requires_grad_(False)
         self.optimizer = torch.optim.Adam(self.model.parameters(), lr=settings.learning_rate)
         folder.mkdir(parents=True, exist_ok=True)
         if resumed:
             self._resume()
+        unused = isinstance(self.model, Dip) and not settings.reconstruct_acc
+        self.called = self.world.wrapped(self.model, unused)
 
     def _fit_scalers(self, model: Dip) -> None:
         rng = np.random.default_rng(self.settings.seed)
@@ -89,41 +99,59 @@ class Trainer:
             torch.cat([b.R_parent_joint for b in batches]),
         )
 
+    def _seed(self) -> None:
+        """Each process draws windows and dropout of its own; the weights are already alike."""
+        seed, rank = self.settings.seed, self.world.rank
+        self.rng = np.random.default_rng([seed, rank, self.step] if rank else seed)
+        if rank:
+            torch.manual_seed(int(self.rng.integers(2**62)))
+
     # -- the loop ---------------------------------------------------------------------------------
 
     def run(self, progress: Progress | None = None) -> Path:
-        """Train. On KeyboardInterrupt the state is saved and the interruption passed on."""
-        s = self.settings
+        """Train. On Ctrl-C the step is finished, the state saved and KeyboardInterrupt raised."""
         saved = time.monotonic()
-        losses_: list[Tensor] = []
-        try:
-            while self.step < s.steps and self._done() < 1 and not self._stale():
+        with Interrupts() as interrupts:
+            while True:
+                if self.world.first and self._due():
+                    self._validate(progress, interrupts)
+                self.seconds, verdict = self.world.agree(self.seconds, self._verdict(interrupts))
+                if verdict != _GO:
+                    break
                 began = time.monotonic()
-                losses_.append(self._one())
+                loss = self._one()
                 self.seconds += time.monotonic() - began
-                ended = self.step >= s.steps or self._done() >= 1
-                if self.step % s.every == 0 or ended:
-                    self._validate(float(torch.stack(losses_).mean()), progress)
-                    losses_ = []
-                elif progress and self.step % 10 == 0:
-                    progress({"step": self.step, "done": self._done(), "loss": float(losses_[-1])})
+                if progress and self.step % 10 == 0:
+                    progress({"step": self.step, "done": self.done(), "loss": loss})
                 if time.monotonic() - saved > SAVE_EVERY_S:
                     self._save()
                     saved = time.monotonic()
-        finally:
             self._save()
+        if verdict == _STOP:
+            raise KeyboardInterrupt
         return self.folder / "best.safetensors"
 
-    def _done(self) -> float:
+    def done(self) -> float:
+        """Share of the run that is over, by steps or by time, whichever is further."""
         by_steps = self.step / self.settings.steps
         if self.settings.minutes is None:
             return by_steps
         return max(by_steps, self.seconds / (60 * self.settings.minutes))
 
-    def _stale(self) -> bool:
+    def stale(self) -> bool:
+        """Whether validation has not improved for long enough to stop."""
         return self.settings.patience > 0 and self.since_best >= self.settings.patience
 
-    def _one(self) -> Tensor:
+    def _due(self) -> bool:
+        on_time = self.step % self.settings.every == 0 or self.done() >= 1
+        return on_time and self.step > self.validated
+
+    def _verdict(self, interrupts: Interrupts) -> float:
+        if self.done() >= 1 or self.stale():
+            return _DONE
+        return _STOP if interrupts.asked else _GO
+
+    def _one(self) -> float:
         s = self.settings
         loss = self._loss(self.source.draw(self.rng, s.batch))
         if not torch.isfinite(loss):
@@ -135,7 +163,7 @@ class Trainer:
         if math.isfinite(s.clip):
             torch.nn.utils.clip_grad_norm_(self.model.parameters(), s.clip)
         for group in self.optimizer.param_groups:
-            group["lr"] = s.rate_at(self.step, self._done())
+            group["lr"] = s.rate_at(self.step, self.done())
         self.optimizer.step()
         self.step += 1
         # A running mean that starts at zero knowledge: short at first, `average` in the long run.
@@ -143,7 +171,9 @@ class Trainer:
         with torch.no_grad():
             for a, b in zip(self.average.parameters(), self.model.parameters(), strict=True):
                 a.lerp_(b, 1 - keep)
-        return loss.detach()
+        value = float(loss.detach())
+        self.loss_sum, self.loss_count = self.loss_sum + value, self.loss_count + 1
+        return value
 
     def _loss(self, batch: Batch) -> Tensor:
         model, s = self.model, self.settings
@@ -152,41 +182,54 @@ class Trainer:
             x, acc = model.inputs(batch.R_world_bone, batch.acc_world)
             pose = model.output_scaler.scale(dip_target(batch.R_parent_joint))
             with mixed:
-                out = model(x)
+                out = self.called(x)
             return losses.dip(out, pose, acc, s.reconstruct_acc)
         worn = torch.zeros(len(batch.acc_world), 5, dtype=torch.bool)
         for k, c in enumerate(self.rng.integers(len(COMBINATIONS), size=len(worn))):
             worn[k, list(COMBINATIONS[c])] = True
         x = imuposer_input(batch.R_world_bone, batch.acc_world, worn.to(self.device))
         with mixed:
-            y = model(x)
+            y = self.called(x)
         return losses.imuposer(y, batch.R_parent_joint, self.offsets)
 
-    def _validate(self, training_loss: float, progress: Progress | None) -> None:
-        found = score(self.average.to("cpu"), self.validation)
-        self.average.to(self.device)
+    def _validate(self, progress: Progress | None, interrupts: Interrupts) -> None:
+        interrupts.may_break = self.world.size == 1
+        try:
+            model = copy.deepcopy(self.average).to("cpu")
+            found = score(model, self.validation, self.settings.reconstruct_acc)
+        except KeyboardInterrupt:
+            self._save()  # before this validation: it is done again
+            raise
+        finally:
+            interrupts.may_break = False
         row = {
-            "step": self.step, "seconds": round(self.seconds, 1), "training_loss": training_loss,
+            "step": self.step, "seconds": round(self.seconds, 1),
+            "training_loss": self.loss_sum / max(1, self.loss_count),
             "rate": self.optimizer.param_groups[0]["lr"],
         } | {f"validation_{k}": v for k, v in found.items()}  # fmt: skip
         if found["loss"] < self.best:
             self.best, self.since_best = found["loss"], 0
             about = self.about | {"training": self.settings.to_json(), "validation": row}
-            checkpoint.save(self.average, self.folder / "best.safetensors", about)
+            checkpoint.save(model, self.folder / "best.safetensors", about)
         else:
             self.since_best += 1
         with (self.folder / "log.jsonl").open("a") as log:
             log.write(json.dumps(row) + "\n")
+        self.validated, self.loss_sum, self.loss_count = self.step, 0.0, 0
         if progress:
-            progress(row | {"done": self._done()})
+            progress(row | {"done": self.done()})
 
     # -- state ------------------------------------------------------------------------------------
 
     def _save(self) -> None:
+        if not self.world.first:
+            return
         state = {
-            "settings": json.dumps(self.settings.to_json(), sort_keys=True),
+            "settings": json.dumps(self.settings.to_json(), sort_keys=True), "data": self.data,
             "step": self.step, "seconds": self.seconds, "best": self.best,
-            "since_best": self.since_best, "model": self.model.state_dict(),
+            "since_best": self.since_best, "validated": self.validated,
+            "loss_sum": self.loss_sum, "loss_count": self.loss_count,
+            "model": self.model.state_dict(),
             "average": self.average.state_dict(), "optimizer": self.optimizer.state_dict(),
             "numpy": json.dumps(self.rng.bit_generator.state), "torch": torch.get_rng_state(),
         }  # fmt: skip
@@ -195,30 +238,42 @@ class Trainer:
 
     def _resume(self) -> None:
         try:
-            state = torch.load(self.state_path, weights_only=True, map_location=self.device)
+            state = torch.load(self.state_path, weights_only=True, map_location="cpu")
+            theirs = _without_limits(state["settings"])
         except Exception as e:
-            raise TrainingError(f"{self.state_path}: cannot be resumed from ({e})") from e
-        mine = json.dumps(self.settings.to_json(), sort_keys=True)
-        if _without_limits(state["settings"]) != _without_limits(mine):
+            # The file is a pickle of tensors: what breaks in a damaged one cannot be listed.
+            reason = " ".join(str(e).split())[:200]
+            raise TrainingError(f"{self.state_path}: cannot be resumed from ({reason})") from e
+        if theirs != _without_limits(json.dumps(self.settings.to_json())):
             raise TrainingError(
                 f"{self.folder}: holds a run with other settings; give another folder, or the same settings"
             )
+        if state.get("data", "") and self.data and state["data"] != self.data:
+            raise TrainingError(
+                f"{self.folder}: holds a run on other motions; give another folder, or the same motions"
+            )
         self.step, self.seconds = state["step"], state["seconds"]
         self.best, self.since_best = state["best"], state["since_best"]
+        # Earlier versions saved right after a validation or between two: then nothing is due.
+        self.validated = state.get("validated", self.step)
+        self.loss_sum, self.loss_count = state.get("loss_sum", 0.0), state.get("loss_count", 0)
         self.model.load_state_dict(state["model"])
         self.average.load_state_dict(state["average"])
         self.optimizer.load_state_dict(state["optimizer"])
+        if not self.world.first:
+            self._seed()
+            return
         self.rng.bit_generator.state = json.loads(state["numpy"])
-        torch.set_rng_state(state["torch"].cpu())
+        torch.set_rng_state(state["torch"])
         self._cut_log()
 
     def _cut_log(self) -> None:
-        """Lines of steps after the saved state were written by a run that was killed: redone now."""
+        """Lines of steps after the saved validation were written by a run that was killed: redone now."""
         log = self.folder / "log.jsonl"
         if log.exists():
             rows = [line for line in log.read_text().splitlines() if line.endswith("}")]
             with write_aside(log) as aside:
-                kept = [r for r in rows if json.loads(r)["step"] <= self.step]
+                kept = [r for r in rows if json.loads(r)["step"] <= self.validated]
                 aside.write_text("".join(r + "\n" for r in kept))
 
 

@@ -6,7 +6,8 @@ Every emitted frame sees the window that the online runner would show it; figure
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import zlib
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,15 +16,24 @@ from torch import Tensor
 
 from learned import kinematics as kin
 from learned import losses
+from learned.corpus import prepared
 from learned.features import COMBINATIONS, DIP_JOINTS, dip_target, imuposer_input, imuposer_pose
-from learned.models import Dip, Model
+from learned.models import RATES, Dip, Model
 from learned.networks.dip import Gaussian
 from mocap import orientation as ori
+from mocap import sensors as places
+from mocap import synthesis
+from mocap.errors import PoserError
 from mocap.metrics import MASKED
+from mocap.motion import Motion
 from mocap.recording import Recording
 from mocap.skeleton import Skeleton
+from mocap.synthesis import Noise
 
 HIPS_SHOULDERS = (1, 2, 16, 17)
+SEEN = {"dip": (20, 5), "imuposer": (124, 0)}  # past and future frames that the online runner shows
+MOST_WINDOWS = {"dip": 1500, "imuposer": 360}  # of a validation set: seconds of work on a CPU
+LONGEST_S = 15.0
 CHUNK = 256  # windows at a time
 
 
@@ -81,12 +91,45 @@ def cut(recordings: Iterable[Recording], past: int, future: int, stride: int = 1
     )
 
 
-def predict(model: Model, windows: Windowed) -> tuple[Tensor, Tensor]:
-    """Local rotations (N,24,3,3) of the emitted frames, and the loss (N / chunk,) of each chunk.
+def recordings(
+    network: str, clips: Iterable[tuple[str, Motion]], noise: Noise | None = None
+) -> list[Recording]:
+    """Virtual sensors on named motions at the network's rate; the noise depends on the name alone.
 
-    IMUPoser wears one of its 24 combinations in each window, in turn.
+    Motions shorter than a second are left out, longer ones cut to `LONGEST_S`. noise: default realistic.
     """
-    poses, scores = [], []
+    rate, out = RATES[network], []
+    for name, motion in clips:
+        motion = prepared(motion).resampled(rate)
+        if motion.seconds >= 1:
+            motion = motion.slice(0, int(LONGEST_S * rate))
+            sensors = places.FIVE if network == "imuposer" else places.SIX
+            seed = zlib.crc32(name.encode())
+            out.append(synthesis.recording(motion, sensors, noise or Noise(), seed))
+    return out
+
+
+def cut_for(network: str, recordings: Sequence[Recording], most: int | None = None) -> Windowed:
+    """Windows as the network sees them online, evenly over all recordings, about `most` in all.
+
+    Raises PoserError where there is no recording.
+    """
+    if not recordings:
+        raise PoserError("no motion of a second or more to validate on")
+    past, future = SEEN[network]
+    frames = sum(len(r) for r in recordings)
+    stride = max(1, round(frames / (most or MOST_WINDOWS[network])))
+    return cut(recordings, past, future, stride)
+
+
+def predict(model: Model, windows: Windowed, reconstruct_acc: bool = True) -> tuple[Tensor, float]:
+    """Local rotations (N,24,3,3) of the emitted frames, and the loss, mean over windows.
+
+    IMUPoser wears one of its 24 combinations in each window, in turn. reconstruct_acc: whether DIP's loss
+    counts the accelerations (it must not where it did not in training: nothing taught those heads).
+    """
+    poses: list[Tensor] = []
+    total = 0.0
     offsets = torch.as_tensor(np.array(Skeleton.default().offsets), dtype=torch.float32)
     with torch.inference_mode():
         for i in range(0, len(windows.clip), CHUNK):
@@ -97,16 +140,16 @@ def predict(model: Model, windows: Windowed) -> tuple[Tensor, Tensor]:
                 x, target_acc = model.inputs(R, acc)
                 out = model(x)
                 target = model.output_scaler.scale(dip_target(truth))
-                scores.append(losses.dip(out, target, target_acc))
+                total += len(R) * float(losses.dip(out, target, target_acc, reconstruct_acc))
                 at = Gaussian(*(v[:, t] for v in (
                     out.pose, out.pose_deviation, out.acc, out.acc_deviation)))  # fmt: skip
                 poses.append(model.pose(at, R[:, t, 5]))
             else:
                 worn = worn_in_turn(i, len(R))
                 y = model(imuposer_input(R, acc, worn))
-                scores.append(losses.imuposer(y, truth, offsets))
+                total += len(R) * float(losses.imuposer(y, truth, offsets))
                 poses.append(imuposer_pose(y[:, t]))
-    return torch.cat(poses), torch.stack(scores)
+    return torch.cat(poses), total / len(windows.clip)
 
 
 def worn_in_turn(first: int, count: int) -> Tensor:
@@ -144,13 +187,13 @@ def _masked(R: Tensor) -> Tensor:
     return R
 
 
-def score(model: Model, windows: Windowed) -> dict[str, float]:
+def score(model: Model, windows: Windowed, reconstruct_acc: bool = True) -> dict[str, float]:
     """The figures and the loss of a model on a set."""
     was_training = model.training
     model.eval()
-    poses, losses_ = predict(model, windows)
+    poses, loss = predict(model, windows, reconstruct_acc)
     model.train(was_training)
-    return figures(poses, windows) | {"loss": float(losses_.mean())}
+    return figures(poses, windows) | {"loss": loss}
 
 
 def calibrate_deviations(model: Model, windows: Windowed) -> None:

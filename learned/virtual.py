@@ -22,7 +22,7 @@ from mocap.skeleton import MIRROR, Skeleton
 
 # Joints that go with the legs when the halves of two clips are spliced; the pelvis is the legs'.
 LEGS = (0, 1, 2, 4, 5, 7, 8, 10, 11)
-_TRIES = 20  # draws of a window free of flipped frames before a clip's own start is taken
+_TRIES = 20  # draws of a window free of flipped frames before one with them is taken
 
 
 @dataclass(frozen=True)
@@ -36,6 +36,17 @@ class Batch:
     R_world_bone: Tensor
     acc_world: Tensor
     R_parent_joint: Tensor
+
+
+def slerp(q0: Tensor, q1: Tensor, part: Tensor) -> Tensor:
+    """Geodesic between unit quaternions (...,4) on one hemisphere: q0 at part (...) 0, q1 at 1.
+
+    sin((1 - s) a) q0 + sin(s a) q1, not normalised, a = 2 asin(|q1 - q0| / 2) the angle between them.
+    """
+    half = ((q1 - q0).norm(dim=-1) / 2).clamp(1e-6, 1.0)
+    a = 2 * torch.asin(half)
+    w0, w1 = torch.sin((1 - part) * a), torch.sin(part * a)
+    return w0.unsqueeze(-1) * q0 + w1.unsqueeze(-1) * q1
 
 
 class Windows:
@@ -100,10 +111,7 @@ class Windows:
         low = np.minimum(np.floor(at).astype(int), (c.length[which] - 2)[:, None])
         part = self._t(at - low)
         low = low + c.start[which][:, None]
-        # Neighbouring quaternions are on one hemisphere and close: the straight line between them, put
-        # back on the sphere, is the geodesic to second order.
-        q0, q1 = self._t(c.q[low]), self._t(c.q[low + 1])
-        q = q0 + part[..., None, None] * (q1 - q0)
+        q = slerp(self._t(c.q[low]), self._t(c.q[low + 1]), part[..., None])
         p0, p1 = self._t(c.p[low]), self._t(c.p[low + 1])
         p = p0 + part[..., None] * (p1 - p0)
         R = kin.from_quat(q)
@@ -116,18 +124,18 @@ class Windows:
     def _places(self, rng: np.random.Generator, span: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Clip and first frame of windows of `span` frames; a short clip holds its last frame."""
         c = self.corpus
-        which = rng.choice(len(c.names), size=len(span), p=c.weight)
-        first = np.zeros(len(span), int)
+        which, first = np.zeros(len(span), int), np.zeros(len(span), int)
+        drawn = np.arange(len(span))
         for _ in range(_TRIES):
-            room = np.maximum(c.length[which] - span, 0)
-            first = (rng.uniform(size=len(span)) * (room + 1)).astype(int)
-            begin = c.start[which] + first
-            end = np.minimum(begin + span, c.start[which] + c.length[which])
-            flipped = self._bad[end] > self._bad[begin]
-            if not flipped.any():
+            clip = rng.choice(len(c.names), size=len(drawn), p=c.weight)
+            room = np.maximum(c.length[clip] - span[drawn], 0)
+            at = (rng.uniform(size=len(drawn)) * (room + 1)).astype(int)
+            which[drawn], first[drawn] = clip, at
+            begin = c.start[clip] + at
+            end = np.minimum(begin + span[drawn], c.start[clip] + c.length[clip])
+            drawn = drawn[self._bad[end] > self._bad[begin]]
+            if not len(drawn):
                 break
-            again = rng.choice(len(c.names), size=int(flipped.sum()), p=c.weight)
-            which[flipped] = again
         return which, first
 
     def _bent(self, rng: np.random.Generator, R: Tensor) -> Tensor:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from learned.augmentation import Augmentation
 from learned.corpus import Corpus, pack
@@ -19,6 +20,9 @@ from mocap import sensors as places
 from mocap import synthesis
 from mocap.motion import Motion
 from mocap.skeleton import Skeleton
+
+# Networks this small only wait for each other on several threads.
+torch.set_num_threads(1)
 
 
 def wavy(frames: int = 90, rate_hz: float = 60.0, seed: int = 0, size: float = 0.3) -> Motion:

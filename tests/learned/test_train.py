@@ -1,0 +1,291 @@
+"""The trainer: it learns, it can be killed anywhere, and it refuses what cannot be gone on with."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from learned import checkpoint
+from learned import train as module
+from learned.errors import TrainingError
+from learned.features import DIP_JOINTS
+from learned.kinematics import angle_between
+from learned.models import Dip, build, for_network
+from learned.train import Trainer
+from learned.validation import score
+from mocap.errors import PoserError
+from tests.learned.swing import tiny, trainer, validation, wavy, windows
+
+NETWORKS = ("dip", "imuposer")
+
+
+@pytest.fixture(autouse=True)
+def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "_SCALER_BATCHES", 1)
+
+
+def weights(t: Trainer) -> dict[str, torch.Tensor]:
+    """Every tensor that a run leaves behind: the model, its running mean."""
+    both = {f"model.{k}": v for k, v in t.model.state_dict().items()}
+    return both | {f"average.{k}": v for k, v in t.average.state_dict().items()}
+
+
+def equal(a: dict[str, torch.Tensor], b: dict[str, torch.Tensor]) -> None:
+    assert a.keys() == b.keys()
+    for name in a:
+        assert torch.equal(a[name], b[name]), name
+
+
+def log(folder: Path) -> list[dict[str, Any]]:
+    return [json.loads(x) for x in (folder / "log.jsonl").read_text().splitlines()]
+
+
+@pytest.mark.parametrize("network", NETWORKS)
+def test_a_run_leaves_weights_a_state_and_a_log(tmp_path: Path, network: str) -> None:
+    told: list[dict[str, Any]] = []
+    t = trainer(tmp_path, tiny(network))
+    path = t.run(told.append)
+    assert [row["step"] for row in log(tmp_path)] == [5, 10, 12]
+    assert {"validation_sip_deg", "validation_loss", "rate"} < log(tmp_path)[0].keys()
+    assert [r["step"] for r in told if "validation_loss" in r] == [5, 10, 12]
+    best = checkpoint.load(path, network)
+    record = checkpoint.describe(path)
+    found = score(best, t.validation)["loss"]
+    assert found == pytest.approx(min(r["validation_loss"] for r in log(tmp_path)), rel=1e-5)
+    assert record["validation"]["validation_loss"] == pytest.approx(found, rel=1e-5)
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        "best.json", "best.safetensors", "log.jsonl", "state.pt",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(("network", "kill_at"), [("dip", 3), ("dip", 5), ("imuposer", 7)])
+def test_killed_and_resumed_is_uninterrupted(
+    tmp_path: Path, network: str, kill_at: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Killed after any step, the state saved at some step before: the same weights, log and best."""
+    whole = trainer(tmp_path / "whole", tiny(network))
+    whole.run()
+    monkeypatch.setattr(module, "SAVE_EVERY_S", 0.0)
+    killed = trainer(tmp_path / "killed", tiny(network))
+    one = killed._one
+
+    def dying() -> float:
+        if killed.step == kill_at:
+            raise SystemExit  # nothing is saved any more, as by a signal that cannot be caught
+        return one()
+
+    monkeypatch.setattr(killed, "_one", dying)
+    with pytest.raises(SystemExit):
+        killed.run()
+    resumed = trainer(tmp_path / "killed", tiny(network))
+    assert resumed.step == kill_at
+    resumed.run()
+    equal(weights(resumed), weights(whole))
+    drop = ("seconds",)
+    rows = [[{k: v for k, v in r.items() if k not in drop} for r in log(tmp_path / name)]
+            for name in ("whole", "killed")]  # fmt: skip
+    assert rows[0] == rows[1]
+    a, b = ((tmp_path / name / "best.safetensors").read_bytes() for name in ("whole", "killed"))
+    assert a == b
+
+
+def test_killed_between_validation_and_save(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The log has a line that the state does not know of: it is not written twice."""
+    whole = trainer(tmp_path / "whole")
+    whole.run()
+    folder = tmp_path / "killed"
+    killed = trainer(folder)
+    validate, one = killed._validate, killed._one
+
+    def saved_first(*args: Any) -> None:
+        killed._save()
+        validate(*args)
+
+    def dying() -> float:
+        if killed.step == 5:
+            raise SystemExit
+        return one()
+
+    monkeypatch.setattr(killed, "_validate", saved_first)
+    monkeypatch.setattr(killed, "_one", dying)
+    with pytest.raises(SystemExit):
+        killed.run()
+    assert [r["step"] for r in log(folder)] == [5]
+    with (folder / "log.jsonl").open("a") as f:
+        f.write('{"step": 6, "trunc')  # and a line of which half was written
+    resumed = trainer(folder)
+    resumed.run()
+    assert [r["step"] for r in log(folder)] == [5, 10, 12]
+    equal(weights(resumed), weights(whole))
+
+
+@pytest.mark.parametrize("where", ["step", "validation"])
+def test_ctrl_c_saves_a_whole_step(
+    tmp_path: Path, where: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A real signal in the middle of a step or of a validation: resumed as if it had not been."""
+    whole = trainer(tmp_path / "whole")
+    whole.run()
+    stopped = trainer(tmp_path / "stopped")
+    if where == "step":
+        loss = stopped._loss
+
+        def interrupted(batch: Any) -> torch.Tensor:
+            if stopped.step == 6:
+                os.kill(os.getpid(), signal.SIGINT)
+            return loss(batch)
+
+        monkeypatch.setattr(stopped, "_loss", interrupted)
+    else:
+        monkeypatch.setattr(
+            module, "score", lambda *a: os.kill(os.getpid(), signal.SIGINT) or score(*a)
+        )
+    before = signal.getsignal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt):
+        stopped.run()
+    assert signal.getsignal(signal.SIGINT) is before
+    monkeypatch.undo()
+    resumed = trainer(tmp_path / "stopped")
+    assert resumed.step == (7 if where == "step" else 5)
+    resumed.run()
+    equal(weights(resumed), weights(whole))
+    assert [r["step"] for r in log(tmp_path / "stopped")] == [5, 10, 12]
+
+
+def test_a_finished_run_is_left_alone_and_can_be_prolonged(tmp_path: Path) -> None:
+    trainer(tmp_path).run()
+    again = trainer(tmp_path)
+    again.run()
+    assert again.step == 12 and len(log(tmp_path)) == 3
+    longer = trainer(tmp_path, tiny(steps=14))
+    longer.run()
+    assert [r["step"] for r in log(tmp_path)] == [5, 10, 12, 14]
+
+
+def test_other_settings_or_other_motions_are_refused(tmp_path: Path) -> None:
+    trainer(tmp_path, data="a").run()
+    with pytest.raises(TrainingError, match="holds a run with other settings"):
+        trainer(tmp_path, tiny(batch=4), data="a")
+    with pytest.raises(TrainingError, match="holds a run with other settings"):
+        trainer(tmp_path, tiny(config={"hidden": 9}), data="a")
+    with pytest.raises(TrainingError, match="holds a run on other motions"):
+        trainer(tmp_path, data="b")
+
+
+@pytest.mark.parametrize("keep", [0.0, 0.5])
+def test_a_damaged_state_is_refused(tmp_path: Path, keep: float) -> None:
+    trainer(tmp_path).run()
+    state = tmp_path / "state.pt"
+    state.write_bytes(state.read_bytes()[: int(keep * state.stat().st_size)])
+    with pytest.raises(TrainingError, match="cannot be resumed from") as caught:
+        trainer(tmp_path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_loss_that_is_not_finite_is_refused(tmp_path: Path) -> None:
+    t = trainer(tmp_path)
+    with torch.no_grad():
+        next(t.model.parameters()).fill_(math.nan)
+    with pytest.raises(TrainingError, match="the loss is not finite at step 0") as caught:
+        t.run()
+    assert isinstance(caught.value, PoserError)
+    assert list(tmp_path.iterdir()) == []  # no state that could not be gone on with
+
+
+def test_patience_stops_early(tmp_path: Path) -> None:
+    t = trainer(tmp_path, tiny(steps=60, every=1, patience=2, learning_rate=1e-12, average=0.0))
+    t.best = -math.inf  # nothing can be better
+    t.run()
+    assert t.step == 2 and t.stale()
+
+
+def test_minutes_stop_and_validate(tmp_path: Path) -> None:
+    t = trainer(tmp_path, tiny(steps=10_000, minutes=1e-3))
+    t.run()
+    assert 0.06 <= t.seconds < 5 and t.step < 10_000
+    assert log(tmp_path)[-1]["step"] == t.step
+
+
+def test_switching_off_the_acceleration_loss(tmp_path: Path) -> None:
+    t = trainer(tmp_path, tiny(reconstruct_acc=False))
+    before = {k: v.clone() for k, v in t.model.state_dict().items()}
+    t.run()
+    after = t.model.state_dict()
+    moved = {k for k in after if not torch.equal(after[k], before[k])}
+    assert "net.heads.pose.weight" in moved
+    assert not {k for k in moved if k.startswith("net.heads.acc")}
+
+
+def test_switching_off_dropout(tmp_path: Path) -> None:
+    """Without it the loss of a batch is a function of the weights alone."""
+    for rate, repeats in ((0.0, True), (0.2, False)):
+        t = trainer(tmp_path / str(rate), tiny(config={"dropout": rate}))
+        batch = t.source.draw(np.random.default_rng(0), 3)
+        assert torch.equal(t._loss(batch), t._loss(batch)) is repeats
+
+
+def test_the_running_mean(tmp_path: Path) -> None:
+    """average = 0 is the weights themselves; else a mean of all steps so far, the youngest ahead."""
+    t = trainer(tmp_path / "a", tiny(average=0.0))
+    t.run()
+    for a, b in zip(t.average.parameters(), t.model.parameters(), strict=True):
+        assert torch.equal(a, b)
+    t = trainer(tmp_path / "b", tiny(average=0.999))
+    want = [p.detach().clone() for p in t.model.parameters()]
+    for step in range(1, 5):
+        t._one()
+        keep = (1 + step) / (10 + step)
+        want = [keep * w + (1 - keep) * p for w, p in zip(want, t.model.parameters(), strict=True)]
+    for a, b in zip(t.average.parameters(), want, strict=True):
+        torch.testing.assert_close(a, b)
+
+
+def test_a_start_keeps_its_scalers(tmp_path: Path) -> None:
+    torch.manual_seed(3)
+    start = build(for_network("dip", hidden=8))
+    assert isinstance(start, Dip)
+    start.in_mean.fill_(0.25)
+    t = trainer(tmp_path, start=start)
+    assert torch.equal(t.model.state_dict()["in_mean"], start.in_mean)
+    t.run()
+    assert not torch.equal(
+        start.net.dense.weight,
+        t.model.state_dict()["net.dense.weight"],  # type: ignore[union-attr]
+    )
+
+
+def test_bfloat16_trains_too(tmp_path: Path) -> None:
+    t = trainer(tmp_path, tiny(bfloat16=True))
+    t.run()
+    assert all(math.isfinite(r["training_loss"]) for r in log(tmp_path))
+
+
+def test_a_small_network_learns_one_clip_by_heart(tmp_path: Path) -> None:
+    """Under 1 deg on 8 frames seen again and again (the full size: docs/training.md)."""
+    motion = wavy(10, size=0.2)
+    settings = tiny(
+        config={"hidden": 32, "dropout": 0.0}, steps=200, batch=1, frames=8, every=200,
+        learning_rate=1e-2, decay_steps=8, average=0.0,
+    )  # fmt: skip
+    source = windows(motion, "dip", 8)
+    t = Trainer(settings, source, validation(motion, "dip", 4), tmp_path)
+    t.run()
+    batch = source.draw(np.random.default_rng(0), 1)
+    model = t.model.eval()
+    assert isinstance(model, Dip)
+    with torch.no_grad():
+        out = model(model.inputs(batch.R_world_bone, batch.acc_world)[0])
+        pose = model.pose(out, batch.R_world_bone[:, :, 5])
+    kept = list(DIP_JOINTS)
+    angle = torch.rad2deg(angle_between(pose[:, :, kept], batch.R_parent_joint[:, :, kept]))
+    assert float(angle.mean()) < 1.0
