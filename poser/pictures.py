@@ -17,10 +17,9 @@ from mocap.motion import Motion
 from mocap.orientation import Array
 from mocap.skeleton import JOINTS, PARENTS
 from mocap.solution import Solution
-from poser.results import NAMES, NO_SKILL
+from poser.results import COLOURS, NAMES, NO_SKILL
 
 LEFT, RIGHT, MIDDLE = "#1f77b4", "#d95f02", "#444444"
-COLOURS = {"sip": "#1b7837", "sop": "#762a83", "mean-pose": "#bbbbbb", "nearest-pose": "#888888"}
 YAW, TILT = np.deg2rad(-35.0), np.deg2rad(12.0)  # the camera: to the body's left, a little above
 DPI = 110
 
@@ -66,6 +65,34 @@ def skeletons(motions: Mapping[str, Motion], times: Sequence[float]) -> Figure:
         ha="center", fontsize=9,
     )  # fmt: skip
     figure.subplots_adjust(0.035, 0.05, 0.99, 0.95, 0.02, 0.03)
+    return figure
+
+
+def pairs(rows: Sequence[tuple[str, Sequence[tuple[str, Array, Array]]]]) -> Figure:
+    """Single frames: one row a method, each cell a title, the true joints (24,3) m in grey, the method's.
+
+    Pelvises are put on each other; rotations are untouched.
+    """
+    columns = max(len(cells) for _, cells in rows)
+    figure = Figure(figsize=(2.0 * columns + 0.6, 2.35 * len(rows) + 0.3))
+    axes = np.asarray(figure.subplots(len(rows), columns, squeeze=False))
+    for r, (label, cells) in enumerate(rows):
+        for c in range(columns):
+            axis = axes[r, c]
+            _frame(axis)
+            if c >= len(cells):
+                continue
+            title, true, p = cells[c]
+            true = true - true[0] * [1, 0, 1]
+            _floor(axis)
+            _bones(axis, true, ghost=True)
+            _bones(axis, p - p[0] + true[0])
+            axis.set_title(title, fontsize=8)
+        axes[r, 0].text(
+            -0.06, 0.5, label, transform=axes[r, 0].transAxes, rotation=90, ha="center", va="center",
+            fontsize=10,
+        )  # fmt: skip
+    figure.subplots_adjust(0.05, 0.01, 0.99, 1 - 0.4 / (2.35 * len(rows) + 0.3), 0.02, 0.14)
     return figure
 
 
@@ -129,6 +156,11 @@ def errors(metrics: Mapping[str, Metrics]) -> Figure:
 def joints(metrics: Mapping[str, Metrics]) -> Figure:
     """Mean global angle of each joint, nothing masked."""
     known = {n: m.joint_deg for n, m in metrics.items() if m.joint_deg is not None}
+    return joint_bars(known)
+
+
+def joint_bars(known: Mapping[str, Array]) -> Figure:
+    """Angles (24,) deg of each joint, one bar a method."""
     figure = Figure(figsize=(10, 3.6))
     axis = figure.subplots()
     width = 0.8 / max(1, len(known))

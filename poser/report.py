@@ -1,4 +1,4 @@
-"""One HTML page about a comparison: table, pictures, what was run on what. Nothing is fetched."""
+"""One HTML page about a comparison: tables, pictures, skeletons that play. Nothing is fetched."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from poser.results import rows
+from poser import player
+from poser.results import Compared, rows
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 72em; margin: 2em auto;
@@ -19,6 +20,8 @@ h1 { font-size: 1.5em; } h2 { font-size: 1.15em; margin-top: 2em; }
 table { border-collapse: collapse; } th, td { padding: .25em .8em; text-align: right; }
 th { border-bottom: 1px solid #888; font-weight: 600; } tr:nth-child(even) td { background: #f6f6f6; }
 th:first-child, td:first-child { text-align: left; }
+.quiet { color: #666; font-size: .9em; } details { margin: .6em 0; } summary { cursor: pointer; }
+.wide { overflow-x: auto; }
 img { max-width: 100%; } figure { margin: 1em 0; } figcaption { color: #555; }
 dt { font-weight: 600; } dd { margin: 0 0 .5em 1.5em; }
 """
@@ -26,6 +29,7 @@ dt { font-weight: 600; } dd { margin: 0 0 .5em 1.5em; }
 
 def page(
     title: str,
+    recordings: Sequence[Compared],
     mean: Mapping[str, Mapping[str, Any]],
     pictures: Sequence[tuple[Path, str]],
     facts: Mapping[str, str],
@@ -41,12 +45,18 @@ def page(
 <head><meta charset="utf-8"><title>{escape(title)}</title><style>{_STYLE}</style></head>
 <body>
 <h1>{escape(title)}</h1>
-{_table(mean)}
-<p>Angles are geodesic; <em>SIP</em>: hips and shoulders; <em>angular</em>: 24 joints, root, wrists,
-hands, ankles and feet masked; <em>position</em>: roots aligned, masked; <em>global</em>: 24 joints,
-nothing masked; <em>instr.</em>: bones that carry a sensor. Mean pose and nearest pose need no skill: a
+<div class="wide">{_table(mean)}</div>
+<p class="quiet">Means over recordings of each recording's mean. Angles are geodesic; <em>SIP</em>: hips and
+shoulders; <em>angular</em>: 24 joints, root, wrists, hands, ankles and feet masked; <em>position</em>: roots
+aligned, masked; <em>global</em>: 24 joints, nothing masked; <em>instr.</em>: bones that carry a sensor that
+the method saw; <em>left out</em>: bones whose sensors it did not see, against what those measured.
+<em>ms/frame</em>: an offline method's solving time over its frames; <em>p50, p99</em>: an online method's
+time for one frame; <em>latency</em>: frames that it looks ahead. Mean pose and nearest pose need no skill: a
 method has to beat both clearly.</p>
+<h2>Side by side</h2>
+{player.section(recordings)}
 {figures}
+{_each(recordings)}
 <h2>What was run on what</h2>
 <dl>
 {said}
@@ -56,7 +66,23 @@ method has to beat both clearly.</p>
 """
 
 
-def environment(packages: Sequence[str] = ("poser-imu", "numpy", "scipy", "casadi")) -> str:
+def _each(recordings: Sequence[Compared]) -> str:
+    """A table for each recording where there are several, folded."""
+    if len(recordings) < 2:
+        return ""
+    parts = []
+    for r in recordings:
+        one = {name: m.to_json() for name, m in r.methods.items()}
+        parts.append(
+            f"<details><summary>{escape(r.name)} (reference: {escape(r.reference)})</summary>"
+            f'<div class="wide">{_table(one)}</div></details>'
+        )
+    return "<h2>Each recording</h2>\n" + "\n".join(parts)
+
+
+def environment(
+    packages: Sequence[str] = ("poser-imu", "numpy", "scipy", "casadi", "pin", "torch", "osqp"),
+) -> str:
     """Versions of what computed, and the kind of machine."""
     found = [f"Python {platform.python_version()}"]
     for name in packages:

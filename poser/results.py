@@ -10,7 +10,16 @@ from mocap.metrics import Metrics, mean_over
 from mocap.motion import Motion
 
 SCHEMA = "poser-compare/1"
-NAMES = {"sop": "SOP", "sip": "SIP", "mean-pose": "mean pose", "nearest-pose": "nearest pose"}
+NAMES = {
+    "sop": "SOP", "sip": "SIP", "dip": "DIP", "imuposer": "IMUPoser", "imuposer-adam": "IMUPoser + Adam",
+    "hybrid-dip": "hybrid (DIP)", "hybrid-imuposer": "hybrid (IMUPoser)", "mean-pose": "mean pose",
+    "nearest-pose": "nearest pose",
+}  # fmt: skip
+COLOURS = {
+    "sip": "#1b7837", "sop": "#762a83", "dip": "#2166ac", "imuposer": "#b35806",
+    "imuposer-adam": "#e08214", "hybrid-dip": "#053061", "hybrid-imuposer": "#7f3b08",
+    "mean-pose": "#bbbbbb", "nearest-pose": "#888888",
+}  # fmt: skip
 NO_SKILL = ("mean-pose", "nearest-pose")
 """Methods that need no skill: the rows that every table is read against."""
 
@@ -30,11 +39,12 @@ class Result:
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """Methods on one recording. reference: where the truth comes from, in words."""
+    """Methods on one recording. reference: where the truth comes from, in words; truth: that motion."""
 
     name: str
     reference: str
     methods: Mapping[str, Result]
+    truth: Motion
 
 
 def to_json(recordings: Sequence[Compared]) -> dict[str, Any]:
@@ -61,12 +71,18 @@ def _methods(recordings: Sequence[Compared]) -> list[str]:
 def _mean(name: str, recordings: Sequence[Compared]) -> dict[str, Any]:
     found = [r.methods[name] for r in recordings if name in r.methods]
     out = mean_over([m.metrics for m in found]).to_json()
-    for key in ("seconds", "iterations"):
+    for key in AVERAGED:
         known = [m.figures[key] for m in found if key in m.figures]
         if known:
             out[key] = sum(known) / len(known)
     return out
 
+
+AVERAGED = (
+    "seconds", "iterations", "frame_ms_mean", "frame_ms_p50", "frame_ms_p99", "look_ahead_frames",
+    "fallbacks",
+)  # fmt: skip
+"""What methods report of themselves that has a mean over recordings."""
 
 COLUMNS: tuple[tuple[str, str, int], ...] = (
     ("sip_deg", "SIP deg", 1),
@@ -76,18 +92,26 @@ COLUMNS: tuple[tuple[str, str, int], ...] = (
     ("instrumented_deg", "instr. deg", 1),
     ("jitter", "jitter 100 m/s^3", 2),
     ("translation_m_per_m", "drift m/m", 2),
-    ("seconds", "seconds", 1),
+    ("left_out_deg", "left out deg", 1),
+    ("frame_ms_mean", "ms/frame", 1),
+    ("frame_ms_p50", "p50 ms", 1),
+    ("frame_ms_p99", "p99 ms", 1),
+    ("look_ahead_frames", "latency frames", 0),
 )
 """JSON name, heading with its unit, decimals: the columns of a comparison."""
 
 
 def rows(mean: Mapping[str, Mapping[str, Any]]) -> tuple[list[str], list[list[str]]]:
-    """Heading and rows of a comparison, one row a method, of the "mean" of `results.json`."""
+    """Heading and rows of a comparison, one row a method, of the "mean" of `results.json`.
+
+    A column that no method has a figure for is left out.
+    """
     out = []
+    columns = [c for c in COLUMNS if any(v.get(c[0]) is not None for v in mean.values())]
     for name, values in mean.items():
         cells = [NAMES.get(name, name)]
-        for key, _, digits in COLUMNS:
+        for key, _, digits in columns:
             value = values.get(key)
             cells.append("-" if value is None else f"{value:.{digits}f}")
         out.append(cells)
-    return ["method", *(heading for _, heading, _ in COLUMNS)], out
+    return ["method", *(heading for _, heading, _ in columns)], out

@@ -4,6 +4,7 @@ The module's docstring is the command's description. Heavy imports belong inside
 """
 
 NAMES: tuple[str, ...] = (
-    "demo", "info", "convert", "synthesize", "calibrate", "solve", "evaluate", "view", "live",
+    "demo", "info", "convert", "synthesize", "calibrate", "solve", "track", "evaluate", "compare",
+    "view", "live",
 )  # fmt: skip
 """Commands in the order of `poser --help`."""

@@ -1,4 +1,4 @@
-"""The whole way on the built-in motion, without any data: six noisy virtual sensors, SOP and SIP.
+"""The whole way on the built-in motion, without any data: noisy virtual sensors, every method, a report.
 
 Writes the recording, one motion file a method, results.json, pictures and report.html.
 """
@@ -10,17 +10,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from poser import files, options
-from poser.console import DONE, Progress, emit, json_text, part, progress, say, table
+from poser.console import DONE, emit, json_text, part, progress, say, table
 
 if TYPE_CHECKING:
     from mocap.motion import Motion
     from mocap.recording import Recording
-    from poser.results import Compared, Result
+    from poser.results import Compared
 
 HELP = "all of it on the built-in motion, with a report"
 NAME = "builtin"
 SEED = 0
 PICTURED_S = (1.0, 4.3, 9.5, 12.0, 14.0, 16.1, 19.6)
+DEVICES = ("left_wrist", "right_pocket", "head")
+"""What IMUPoser sees: a watch, a phone in a pocket, earphones."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -36,7 +38,8 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def run(args: Namespace) -> int:
     from mocap import sensors, synthesis
-    from poser import motions, results
+    from poser import comparison, motions, results
+    from poser.commands.compare import write_report
     from poser.commands.synthesize import noise_generator
 
     files.make_folder(args.output)
@@ -44,16 +47,23 @@ def run(args: Namespace) -> int:
         tell(0.0, "virtual sensors")
         motion = synthesis.prepare(motions.builtin(seconds=args.seconds), 60.0, 8.0)
         rng = noise_generator(SEED, NAME)
-        recording = synthesis.recording(motion, sensors.SIX, synthesis.NOISES["realistic"], rng)
-        methods = {}
-        for name, start, stop in (("sop", 0.02, 0.25), ("sip", 0.25, 0.85)):
-            methods[name] = _solved(recording, name, part(tell, start, stop, name.upper()))
-        tell(0.85, "mean and nearest pose")
-        methods |= _no_skill(recording)
-        compared = results.Compared(NAME, "the built-in motion", methods)
+        worn = (*sensors.SIX, *(d for d in DEVICES if d not in sensors.SIX))
+        recording = synthesis.recording(motion, worn, synthesis.NOISES["realistic"], rng)
+        files.write(args.output / f"{NAME}.npz", recording)
+        job = comparison.Job(NAME, recording, comparison.SOLVED, sensors.SIX, DEVICES)
+        compared = comparison.run(job, part(tell, 0.02, 0.9))
         tell(0.9, "pictures and report")
+        files.write(args.output / "reference.npz", compared.truth)
+        for name, result in compared.methods.items():
+            files.write(args.output / f"{name}.npz", result.motion)
         found = results.to_json([compared])
-        _write(args.output, recording, compared, found)
+        files.write_text(args.output / "results.json", json_text(found) + "\n")
+        poses = args.output / "poses.png"
+        _picture(poses, compared.truth, compared)
+        write_report(
+            args.output, "Every method on the built-in motion", [compared], found["mean"],
+            _facts(recording, compared), ((poses, "Every method at several times."),),
+        )  # fmt: skip
     if args.json:
         emit(found)
         return DONE
@@ -64,91 +74,28 @@ def run(args: Namespace) -> int:
     return DONE
 
 
-def _solved(recording: Recording, terms: Any, tell: Progress) -> Result:
-    import sip
-    from poser.commands.solve import record
-
-    solution = sip.solve(recording, settings=sip.Settings(terms=terms), progress=tell)
-    return _result(recording, solution.motion, record(solution))
-
-
-def _no_skill(recording: Recording) -> dict[str, Result]:
-    """The two rows that need no skill, from the prior's mean and its bank of poses."""
-    from mocap import noskill
-    from sip.prior import shipped
-
-    prior = shipped()
-    return {
-        "mean-pose": _result(recording, noskill.mean_pose(recording, prior.mean)),
-        "nearest-pose": _result(recording, noskill.nearest_pose(recording, prior.poses)),
-    }
-
-
-def _result(recording: Recording, motion: Motion, figures: dict[str, Any] | None = None) -> Result:
-    from mocap import metrics
-    from poser.results import Result
-    from poser.staging import on_the_floor
-
-    found = metrics.evaluate(
-        motion, recording.reference, recording=recording, seen=recording.sensors
-    )
-    return Result(on_the_floor(motion), found, figures or {})
-
-
-def _write(folder: Path, recording: Recording, compared: Compared, found: dict[str, Any]) -> None:
-    from poser import report
-
-    assert recording.reference is not None
-    files.write(folder / f"{NAME}.npz", recording)
-    files.write(folder / "reference.npz", recording.reference)
-    for name, result in compared.methods.items():
-        files.write(folder / f"{name}.npz", result.motion)
-    files.write_text(folder / "results.json", json_text(found) + "\n")
-    text = report.page(
-        "Six virtual sensors on the built-in motion",
-        found["mean"],
-        _pictures(folder, recording.reference, compared),
-        _facts(recording, compared),
-    )
-    files.write_text(folder / "report.html", text)
-
-
-def _pictures(folder: Path, truth: Motion, compared: Compared) -> list[tuple[Path, str]]:
+def _picture(path: Path, truth: Motion, compared: Compared) -> None:
     from poser import pictures
+    from poser.results import NO_SKILL
 
     times = [t for t in PICTURED_S if t < truth.seconds] or [truth.seconds / 2]
-    shown = {"reference": truth, **{n: compared.methods[n].motion for n in ("sop", "sip")}}
-    metrics = {n: m.metrics for n, m in compared.methods.items()}
-    solved = {n: metrics[n] for n in ("sop", "sip")}
-    figures = (
-        (
-            "poses.png",
-            pictures.skeletons(shown, times),
-            "The reference, SOP and SIP at several times.",
-        ),
-        ("errors.png", pictures.errors(metrics), "Error over time; in brackets the mean."),
-        ("joints.png", pictures.joints(solved), "Mean global angle of each joint, nothing masked."),
-    )
-    out = []
-    for name, figure, caption in figures:
-        pictures.save(figure, folder / name)
-        out.append((folder / name, caption))
-    return out
+    shown: dict[str, Any] = {"reference": truth}
+    shown |= {n: m.motion for n, m in compared.methods.items() if n not in NO_SKILL}
+    pictures.save(pictures.skeletons(shown, times), path)
 
 
 def _facts(recording: Recording, compared: Compared) -> dict[str, str]:
-    from poser import report
+    from mocap import sensors
 
     sigma = (recording.noise or {}).get("sigma", {})
     facts = {
         "Motion": f"built-in (standing, walking, squat, arms, jumping jacks, leg raises), "
         f"{recording.seconds:.1f} s at {recording.rate_hz:g} Hz, low-passed at 8 Hz",
-        "Sensors": ", ".join(recording.sensors),
+        "Sensors": f"{', '.join(sensors.SIX)}; IMUPoser: {', '.join(DEVICES)}",
         "Noise, 1 sigma": ", ".join(f"{k} {v:g}" for k, v in sigma.items()) + f"; seed {SEED}",
     }
     for name in ("sop", "sip"):
         f = compared.methods[name].figures
         facts[name.upper()] = f"{f['seconds']:.1f} s, {f['iterations']} iterations: {f['status']}"
     facts["Mean pose, nearest pose"] = "from the poses that the prior was made of"
-    facts["Computed with"] = report.environment()
     return facts

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from mocap.solution import Solution
 
 HELP = "offline poses from a recording: SIP or SOP"
+NETWORKS = ("dip", "imuposer")
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -70,12 +71,7 @@ def run(args: Namespace) -> int:
         raise UsageError("argument --betas: needs the body file they shape: --smpl FILE")
     if args.smpl and args.height:
         raise UsageError("argument --height: not with --smpl, whose betas give the size")
-    if args.start in ("dip", "imuposer"):
-        raise PoserError(
-            f"--start {args.start}: the networks are not part of this installation yet; "
-            f"start from 'prior' or from a motion file"
-        )
-    start = None if args.start == "prior" else Path(args.start)
+    start = None if args.start in ("prior", *NETWORKS) else Path(args.start)
     files.check_output(args.output, [args.recording, *([start] if start else [])], (".npz", ".bvh"))
     if args.plot:
         files.check_output(args.plot, [args.recording, args.output], (".png",))
@@ -84,8 +80,12 @@ def run(args: Namespace) -> int:
     whole = files.recording(args.recording)
     with files.about(args.recording):
         chosen = whole.select(options.sensors(args.sensors, whole.sensors))
-        recording, first = _window(chosen, args.begin, args.end)
-    begin = None if start is None else _start(start, whole, first, len(recording))
+        recording, first = cut_window(chosen, args.begin, args.end)
+    begin: Motion | None
+    if args.start in NETWORKS:
+        begin = _networks_start(args, recording)
+    else:
+        begin = None if start is None else _start(start, whole, first, len(recording))
     solution = _solve(args, recording, begin)
     extra = (
         None if solution.std_rad is None or not args.uncertainty else {"std_rad": solution.std_rad}
@@ -125,7 +125,7 @@ def _body(args: Namespace) -> Skeleton:
     return Skeleton.default(args.height)
 
 
-def _window(recording: Recording, begin: float | None, end: float | None) -> tuple[Recording, int]:
+def cut_window(recording: Recording, begin: float | None, end: float | None) -> tuple[Recording, int]:
     """The frames from `begin` to before `end`, s on the recording's clock, and the first one's number."""
     if begin is None and end is None:
         return recording, 0
@@ -139,6 +139,15 @@ def _window(recording: Recording, begin: float | None, end: float | None) -> tup
             f"{origin:g} s to {origin + recording.seconds:g} s"
         )
     return recording.slice(a, b), a
+
+
+def _networks_start(args: Namespace, recording: Recording) -> Motion:
+    """The network's poses, frame for frame: what the solver starts from."""
+    from poser import tracking
+
+    with progress(f"{args.start} on {args.recording.name}") as tell, files.about(args.recording):
+        found = tracking.track(recording, args.start, args.start, progress=tell)
+    return found.motion.on(_body(args))
 
 
 def _start(path: Path, whole: Recording, first: int, frames: int) -> Motion:
@@ -181,6 +190,7 @@ def report(args: Namespace, recording: Recording, solution: Solution) -> None:
         extra = {
             "terms": args.terms,
             "solver": args.solver,
+            "start": args.start,
             "used_sensors": list(recording.sensors),
             "rate_hz": recording.rate_hz,
             "motion": str(args.output),

@@ -216,7 +216,6 @@ def test_solve_a_window_with_some_sensors_from_a_motion(
 @pytest.mark.parametrize(
     ("words", "status", "said"),
     [
-        (["--start", "dip"], 1, "not part of this installation yet"),
         (["--betas", "1,2"], 2, "--smpl"),
         (["--from", "7"], 1, "it runs from 0 s to 3 s"),
         (["--sensors", "left_foot"], 1, "not in the recording"),

@@ -1,0 +1,265 @@
+"""The online methods on the fixed split: `python benchmarks/methods.py [--split test] [--part dip|imuposer]`.
+
+dip: DIP online (20,5) and the hybrid around it, six virtual sensors with the realistic noise at 60 Hz, the
+very recordings of `split.py`, whose SOP and SIP rows stand beside these. The hybrid is compared with its
+network clip by clip (bootstrap over clips of the mean difference, 95 %).
+
+imuposer: all 24 device combinations at 25 Hz: the network, its ten Adam steps, the hybrid; the network runs
+once and the refinements see the same poses, so that their own times can be told apart.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from common import machine, row, seed_of
+
+from mocap import Motion, dataset, metrics, noskill, sensors, synthesis
+from mocap.estimator import Pose, Sample, replay
+from mocap.skeleton import Skeleton
+from sip.prior import shipped
+
+NAMES = (
+    "sip_deg", "angular_deg", "position_cm", "instrumented_deg", "global_deg", "jitter", "acc_error",
+)  # fmt: skip
+PAIRED = ("sip_deg", "angular_deg", "position_cm", "instrumented_deg", "jitter", "acc_error")
+IMUPOSER_HZ = 25.0
+
+
+class Playback:
+    """An estimator that gives poses already made: the network of a refinement that is timed alone."""
+
+    def __init__(self, motion: Motion, std_rad: np.ndarray | None, names: tuple[str, ...]) -> None:
+        self.rate_hz, self.sensors, self.look_ahead_frames = motion.rate_hz, names, 0
+        self._motion, self._std = motion, std_rad
+
+    def init(self) -> int:
+        """The first frame."""
+        return 0
+
+    def step(self, state: int, sample: Sample) -> tuple[int, Pose]:
+        """The next pose."""
+        m = self._motion
+        std = None if self._std is None else self._std[state]
+        return state + 1, Pose(sample.time_s, m.R_parent_joint[state], m.p_world_root[state], std)
+
+
+def figures(
+    motion: Motion, truth: Motion, recording: synthesis.Recording, ms: np.ndarray | None
+) -> dict[str, Any]:
+    """Metrics of one method on one clip; acc_error: joints' accelerations against the reference's,
+    root fixed and masked as in metrics.md, m/s^2."""
+    m = metrics.evaluate(motion, truth, recording=recording, seen=recording.sensors)
+    out: dict[str, Any] = {k: getattr(m, k) for k in NAMES if k != "acc_error"}
+    p, q = (_joints(x) for x in (motion, truth))
+    out["acc_error"] = float(
+        np.linalg.norm(np.diff(p - q, 2, axis=0), axis=-1).mean() * truth.rate_hz**2
+    )
+    out["jitter_reference"] = m.jitter_reference
+    if ms is not None:
+        out |= {"ms_p50": float(np.median(ms)), "ms_p99": float(np.percentile(ms, 99))}
+    return out
+
+
+def _joints(motion: Motion) -> np.ndarray:
+    local = np.array(motion.R_parent_joint)
+    local[:, list(metrics.MASKED)] = np.eye(3)
+    body = Skeleton.default()
+    return body.forward(local, np.zeros((len(motion), 3)))[1]
+
+
+def dip_clip(job: tuple[str, Motion, str | None]) -> list[dict[str, Any]]:
+    """Mean pose, nearest pose, DIP and hybrid on one clip."""
+    from poser.estimators import make
+
+    name, motion, weights = job
+    recording = synthesis.recording(
+        motion, sensors.SIX, synthesis.NOISES["realistic"], seed_of(name)
+    )
+    prior = shipped()
+    out = []
+    for method, found in (
+        ("mean-pose", noskill.mean_pose(recording, prior.mean)),
+        ("nearest-pose", noskill.nearest_pose(recording, prior.poses)),
+    ):
+        out.append({"clip": name, "method": method} | figures(found, motion, recording, None))
+    chosen = Path(weights) if weights else None
+    for method in ("dip", "hybrid"):
+        estimator = make(method, 60.0, sensors.SIX, network="dip", weights=chosen)
+        run = replay(estimator, recording)
+        found = figures(run.motion, motion, recording, 1e3 * run.frame_s)
+        out.append({"clip": name, "method": method, "fallbacks": run.fallbacks} | found)
+    return out
+
+
+def imuposer_clip(job: tuple[str, Motion, str | None]) -> list[dict[str, Any]]:
+    """Every combination of devices on one clip."""
+    import hybrid
+    from learned.features import COMBINATIONS
+    from learned.refine import AdamEstimator
+    from poser.estimators import make
+
+    name, motion, weights = job
+    whole = synthesis.recording(motion, sensors.FIVE, synthesis.NOISES["realistic"], seed_of(name))
+    mean = shipped().mean
+    out = []
+    for combination in COMBINATIONS:
+        worn = tuple(sensors.FIVE[k] for k in combination)
+        recording = whole.select(worn)
+        label = {"clip": name, "devices": list(worn)}
+        joints = tuple(sensors.lookup(n).joint for n in worn)
+        still = noskill.mean_pose(recording, mean)
+        out.append(label | {"method": "mean-pose"} | figures(still, motion, recording, None))
+        chosen = Path(weights) if weights else None
+        estimator = make("imuposer", IMUPOSER_HZ, worn, weights=chosen)
+        run = replay(estimator, recording)
+        found = figures(run.motion, motion, recording, 1e3 * run.frame_s)
+        out.append(label | {"method": "imuposer"} | found)
+        for method in ("imuposer-adam", "hybrid"):
+            network = Playback(run.motion, run.std_rad, worn)
+            refined: Any = (
+                hybrid.Tracker(network) if method == "hybrid" else AdamEstimator(network, joints)
+            )
+            again = replay(refined, recording)
+            found = figures(again.motion, motion, recording, 1e3 * again.frame_s)
+            out.append(label | {"method": method} | found)
+    return out
+
+
+# -- tables ---------------------------------------------------------------------------------------
+
+
+def means(results: Sequence[dict[str, Any]], names: Sequence[str] = NAMES) -> list[str]:
+    """The mean over clips of each figure."""
+    extra = ("ms_p50", "ms_p99")
+    out = [f"{np.mean([r[k] for r in results]):.2f}" for k in names]
+    return out + [
+        f"{np.median([r[k] for r in results]):.2f}" if all(k in r for r in results) else "-"
+        for k in extra
+    ]
+
+
+def by_subject(results: list[dict[str, Any]]) -> str:
+    """A row a method, and below it one a subject."""
+    widths = (16, 6, *[17] * len(NAMES), 8, 8)
+    out = [row(("method", "clips", *NAMES, "ms p50", "ms p99"), widths)]
+    subjects = sorted({dataset.subject_of(r["clip"]) for r in results})
+    for method in dict.fromkeys(r["method"] for r in results):
+        mine = [r for r in results if r["method"] == method]
+        out.append(row((method, len(mine), *means(mine)), widths))
+        for s in subjects:
+            part = [r for r in mine if dataset.subject_of(r["clip"]) == s]
+            out.append(row((f"  subject {s}", len(part), *means(part)), widths))
+    return "\n".join(out)
+
+
+def paired(results: list[dict[str, Any]], new: str, old: str, seed: int = 0) -> str:
+    """Mean over clips of new - old with its bootstrap 95 % interval, for each figure."""
+    rng = np.random.default_rng(seed)
+    out = []
+    for key in PAIRED:
+        values = {m: {r["clip"]: r[key] for r in results if r["method"] == m} for m in (new, old)}
+        d = np.array([values[new][c] - values[old][c] for c in values[new]])
+        draws = d[rng.integers(len(d), size=(10_000, len(d)))].mean(axis=1)
+        low, high = np.percentile(draws, (2.5, 97.5))
+        out.append(f"{key}: {d.mean():+.3f} [{low:+.3f}, {high:+.3f}]")
+    return f"{new} - {old}, mean over clips [95 %]: " + "; ".join(out)
+
+
+def by_devices(results: list[dict[str, Any]]) -> str:
+    """IMUPoser's table: by number of devices and by combination, mean over clips."""
+    names = ("position_cm", "sip_deg", "global_deg", "instrumented_deg", "jitter")
+    widths = (44, 14, *[17] * len(names), 8, 8)
+    out = [row(("devices", "method", *names, "ms p50", "ms p99"), widths)]
+    methods = list(dict.fromkeys(r["method"] for r in results))
+    groups: list[tuple[str, list[dict[str, Any]]]] = [("all 24 combinations", results)]
+    groups += [(f"{n} devices", [r for r in results if len(r["devices"]) == n]) for n in (1, 2, 3)]
+    for combination in dict.fromkeys(tuple(r["devices"]) for r in results):
+        part = [r for r in results if tuple(r["devices"]) == combination]
+        groups.append((", ".join(combination), part))
+    for label, part in groups:
+        for method in methods:
+            mine = [r for r in part if r["method"] == method]
+            out.append(row((label, method, *means(mine, names)), widths))
+    wins = 0
+    for combination in dict.fromkeys(tuple(r["devices"]) for r in results):
+        part = [r for r in results if tuple(r["devices"]) == combination]
+        a, b = (
+            np.mean([r["position_cm"] for r in part if r["method"] == m])
+            for m in ("hybrid", "imuposer-adam")
+        )
+        wins += a < b
+    out.append(f"hybrid nearer than the Adam steps (position_cm) in {wins} of 24 combinations")
+    return "\n".join(out)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--split", default="test", choices=("validation", "test"))
+    parser.add_argument("--part", default="dip,imuposer")
+    parser.add_argument("--weights", help="other weights than the shipped ones (one part alone)")
+    parser.add_argument("--seconds", type=float, default=15.0, help="of each clip; imuposer: 6")
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("-o", "--output", type=Path)
+    args = parser.parse_args()
+    print(machine())
+    kept: dict[str, Any] = {}
+    for part in args.part.split(","):
+        rate, seconds = (
+            (60.0, args.seconds) if part == "dip" else (IMUPOSER_HZ, min(6.0, args.seconds))
+        )
+        clips = list(dataset.clips(args.split, ("cmu",), rate, min_s=2.0, max_s=seconds))
+        work = dip_clip if part == "dip" else imuposer_clip
+        began = time.monotonic()
+        results: list[dict[str, Any]] = []
+        with ProcessPoolExecutor(args.jobs, initializer=_one_thread) as pool:
+            for i, found in enumerate(pool.map(work, [(*c, args.weights) for c in clips])):
+                results += found
+                print(f"\r{part} {i + 1}/{len(clips)}   ", end="", file=sys.stderr)
+        print(file=sys.stderr)
+        print(
+            f"\n{part}, {args.split} split, {len(clips)} clips of up to {seconds:g} s at {rate:g} Hz, "
+            f"realistic noise; {time.monotonic() - began:.0f} s"
+        )
+        if part == "dip":
+            print(by_subject(results))
+            print(paired(results, "hybrid", "dip"))
+        else:
+            print(by_devices(results))
+            averaged = _over_devices(results)
+            print(paired(averaged, "hybrid", "imuposer-adam"))
+            print(paired(averaged, "hybrid", "imuposer"))
+        kept[part] = results
+    if args.output:
+        args.output.write_text(json.dumps(kept, indent=1))
+
+
+def _over_devices(results: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """One row a clip and method: the mean over combinations."""
+    out = []
+    for clip in dict.fromkeys(r["clip"] for r in results):
+        for method in dict.fromkeys(r["method"] for r in results):
+            part = [r for r in results if r["clip"] == clip and r["method"] == method]
+            out.append(
+                {"clip": clip, "method": method}
+                | {k: np.mean([r[k] for r in part]) for k in PAIRED}
+            )
+    return out
+
+
+def _one_thread() -> None:
+    import torch
+
+    torch.set_num_threads(1)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,180 @@
+"""`poser compare`: the record, the motions, the page; the same whatever the number of processes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mocap import formats, metrics, sensors, synthesis
+from mocap.errors import PoserError
+from mocap.formats.amass import write_motion
+from mocap.formats.native import FORMAT as NATIVE
+from mocap.motion import Motion
+from poser import comparison, motions, player, results
+from poser.__main__ import main
+
+FAST = ("--solver", "banded", "--methods", "sop,sip")
+
+
+def short(name: str) -> Motion:
+    """0.8 s in the middle of a built-in motion."""
+    motion: Motion = getattr(motions, name)(4.0)
+    return motion.slice(75, 123)
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """walk.npz and squat.npz: 0.8 s, six noisy sensors; bare.npz: the same without a reference, suit.npz."""
+    from dataclasses import replace
+
+    folder = tmp_path_factory.mktemp("compare")
+    assert NATIVE.write is not None
+    for i, name in enumerate(("walk", "squat")):
+        motion = short(name)
+        noisy = synthesis.recording(motion, sensors.SIX, synthesis.Noise(), i)
+        NATIVE.write(folder / f"{name}.npz", noisy)
+    NATIVE.write(folder / "bare.npz", replace(noisy, reference=None))
+    suit = synthesis.recording(short("walk").slice(0, 60), sensors.SUIT, synthesis.Noise(), 3)
+    NATIVE.write(folder / "suit.npz", replace(suit, reference=None))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def compared(recordings: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("out") / "made"
+    paths = [str(recordings / f"{n}.npz") for n in ("walk", "squat")]
+    assert main(["compare", *paths, "-o", str(out), *FAST]) == 0
+    return out
+
+
+def test_record_holds_what_evaluate_and_solve_say(compared: Path, recordings: Path) -> None:
+    record = json.loads((compared / "results.json").read_text())
+    assert record["schema"] == "poser-compare/1"
+    assert [r["name"] for r in record["recordings"]] == ["walk", "squat"]
+    for r in record["recordings"]:
+        truth = formats.read(recordings / f"{r['name']}.npz").content.reference
+        for name in ("sop", "sip"):
+            written = formats.read(compared / r["name"] / f"{name}.npz").content
+            assert isinstance(written, Motion)
+            found = metrics.evaluate(written, truth)
+            said = r["methods"][name]
+            assert said["sip_deg"] == pytest.approx(found.sip_deg, abs=1e-6)
+            assert said["position_cm"] == pytest.approx(found.position_cm, abs=1e-6)
+            assert {"status", "seconds", "iterations", "cost", "used_sensors"} <= set(said)
+            assert set(metrics.JSON_NAMES) <= set(said)
+    for name in ("sop", "sip", "mean-pose", "nearest-pose"):
+        each = [r["methods"][name]["sip_deg"] for r in record["recordings"]]
+        assert record["mean"][name]["sip_deg"] == pytest.approx(np.mean(each))
+
+
+def test_processes_change_nothing(compared: Path, recordings: Path, tmp_path: Path) -> None:
+    paths = [str(recordings / f"{n}.npz") for n in ("walk", "squat")]
+    assert main(["compare", *paths, "-o", str(tmp_path), *FAST, "--jobs", "2"]) == 0
+    a, b = (_timeless(p / "results.json") for p in (compared, tmp_path))
+    assert a == b
+
+
+def _timeless(path: Path) -> Any:
+    def strip(x: Any) -> Any:
+        if isinstance(x, dict):
+            return {k: strip(v) for k, v in x.items() if "seconds" not in k and "_ms" not in k}
+        if isinstance(x, list):
+            return [strip(v) for v in x]
+        return round(x, 6) if isinstance(x, float) else x
+
+    return strip(json.loads(path.read_text()))
+
+
+def test_one_recording_writes_into_the_folder_itself(recordings: Path, tmp_path: Path) -> None:
+    words = ["compare", str(recordings / "walk.npz"), "-o", str(tmp_path / "new"), *FAST]
+    assert main([*words, "--from", "0.2", "--to", "0.6"]) == 0
+    names = {p.name for p in (tmp_path / "new").iterdir()}
+    assert {"sop.npz", "sip.npz", "reference.npz", "results.json", "report.html"} <= names
+    motion = formats.read(tmp_path / "new" / "sip.npz").content
+    assert len(motion) == 24
+
+
+def test_sip_all_is_sip_on_every_sensor(recordings: Path, tmp_path: Path) -> None:
+    words = ["compare", str(recordings / "suit.npz"), "-o", str(tmp_path), *FAST]
+    assert main([*words, "--reference", "sip-all"]) == 0
+    record = json.loads((tmp_path / "results.json").read_text())["recordings"][0]
+    assert record["reference"] == "SIP on all 17 sensors"
+    assert record["methods"]["sip"]["used_sensors"] == list(sensors.SIX)
+    # Eleven sensors were left out: there is an angle to what they measured.
+    assert record["methods"]["sip"]["left_out_deg"] > 1
+    solved = tmp_path / "all.npz"
+    rec = str(recordings / "suit.npz")
+    assert main(["solve", rec, "-o", str(solved), "--solver", "banded"]) == 0
+    same = metrics.evaluate(
+        formats.read(solved).content, formats.read(tmp_path / "reference.npz").content
+    )
+    assert same.global_deg == pytest.approx(0, abs=1e-3)
+
+
+def test_a_motion_file_as_reference(recordings: Path, tmp_path: Path) -> None:
+    write_motion(tmp_path / "truth.npz", short("squat"))
+    words = ["compare", str(recordings / "bare.npz"), "-o", str(tmp_path / "o"), *FAST]
+    assert main([*words, "--reference", str(tmp_path / "truth.npz")]) == 0
+    record = json.loads((tmp_path / "o" / "results.json").read_text())["recordings"][0]
+    assert record["methods"]["sip"]["instrumented_deg"] < 10
+
+
+def test_refusals(
+    recordings: Path, tmp_path: Path, refusal: Callable[..., tuple[int, str]]
+) -> None:
+    out = ("-o", tmp_path / "o")
+    status, said = refusal("compare", recordings / "bare.npz", *out, *FAST)
+    assert status == 1 and "bare.npz" in said and "--reference" in said
+    status, said = refusal("compare", recordings / "walk.npz", *out, "--methods", "sip,magic")
+    assert status == 2 and "magic" in said and "hybrid-dip" in said
+    walk = recordings / "walk.npz"
+    status, said = refusal("compare", walk, walk, *out, *FAST)
+    assert status == 2 and "walk" in said
+    two = (walk, recordings / "squat.npz")
+    status, said = refusal("compare", *two, *out, *FAST, "--reference", walk)
+    assert status == 2 and "several" in said
+    status, said = refusal("compare", walk, *out, *FAST, "--jobs", "0")
+    assert status == 2 and "--jobs" in said
+
+
+def test_canonical_names() -> None:
+    assert comparison.canonical(["hybrid", "sip", "sip"]) == ("sip", "hybrid-dip")
+    with pytest.raises(PoserError, match="unknown"):
+        comparison.canonical([])
+
+
+def test_worst_frames_are_apart_and_in_order() -> None:
+    truth = motions.walk(3.0)
+    wrong = np.array(truth.R_parent_joint)
+    from mocap import orientation as ori
+
+    for t, angle in ((20, 0.5), (21, 0.49), (150, 0.9)):
+        wrong[t, 1] = wrong[t, 1] @ ori.exp([angle, 0, 0])
+    bad = Motion(truth.rate_hz, wrong, truth.p_world_root, truth.skeleton)
+    result = results.Result(bad, metrics.evaluate(bad, truth))
+    found = results.Compared("x", "y", {"sip": result}, truth)
+    assert comparison.worst_frames(found, "sip", 2) == [150, 20]
+
+
+def test_player_holds_the_joints_to_the_millimetre() -> None:
+    import base64
+    import re
+
+    truth = short("walk").slice(0, 60)
+    result = results.Result(truth, metrics.evaluate(truth, truth))
+    text = player.section([results.Compared("</script>", "y", {"sip": result}, truth)])
+    found = re.search(r'id="player-data">(.*?)</script>', text, flags=re.S)
+    assert found is not None
+    data = json.loads(found.group(1))
+    track = data["recordings"][0]["tracks"][1]
+    assert data["recordings"][0]["name"] == "</script>" and track["name"] == "SIP"
+    raw = np.frombuffer(base64.b64decode(track["data"]), "<i2").reshape(-1, 24, 3)
+    p = truth.resampled(30).p_world_joint
+    p = p - p[:, :1] * [1, 0, 1]
+    np.testing.assert_allclose(raw / 1000, p, atol=6e-4)
+    assert max(track["error_cm"]) == 0
