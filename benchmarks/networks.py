@@ -155,7 +155,7 @@ def adam(model: Model, clips: int) -> None:
         for rate in rates:
             out = done if rate == 0 else refined(done, made, AdamSettings(learning_rate=rate))
             errors = metrics.evaluate(out, made.reference)
-            found[rate].append([errors[name] for name in names])  # type: ignore[list-item]
+            found[rate].append([getattr(errors, name) for name in names])
     widths = (14, 10, 14, 12)
     print(row(("learning rate", *names), widths))
     for rate in rates:

@@ -1,0 +1,184 @@
+"""`poser track` with small untrained networks, and the estimators by name."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from learned import checkpoint
+from learned.models import build, for_network
+from mocap import Skeleton, sensors, synthesis
+from mocap.errors import PoserError
+from mocap.formats.native import FORMAT
+from poser import estimators, files, motions
+from poser.commands import track
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """dip.safetensors, imuposer.safetensors; six.npz at 60 Hz, suit.npz at 50 Hz, five.npz at 25 Hz."""
+    where = tmp_path_factory.mktemp("track")
+    for network in ("dip", "imuposer"):
+        torch.manual_seed(0)
+        model = build(for_network(network, hidden=16))
+        if network == "dip":
+            model.out_mean.copy_(torch.eye(3).flatten().repeat(15))  # near the rest pose
+            model.out_deviation.fill_(0.1)
+        checkpoint.save(model, where / f"{network}.safetensors", {})
+    sets = {"six": (60.0, sensors.SIX), "suit": (50.0, sensors.SUIT), "five": (25.0, sensors.FIVE)}
+    for name, (rate_hz, names) in sets.items():
+        made = synthesis.recording(
+            motions.walk(3.0, rate_hz), names, synthesis.NOISES["realistic"], 3
+        )
+        assert FORMAT.write is not None
+        FORMAT.write(where / f"{name}.npz", made.slice(60, 60 + round(rate_hz / 2)))
+    return where
+
+
+CASES = [
+    ("six", "dip", [], "dip", 5, sensors.SIX),
+    ("six", "dip", ["--window", "3,0"], "dip", 0, sensors.SIX),
+    ("suit", "dip", [], "dip", 6, sensors.SIX),
+    ("six", "imuposer", [], "imuposer", 5, ("left_forearm", "right_forearm", "head")),
+    ("five", "imuposer", ["--sensors", "head,right_pocket"], "imuposer", 0, ("right_pocket", "head")),
+    ("five", "imuposer-adam", ["--sensors", "left_wrist"], "imuposer", 0, ("left_wrist",)),
+    ("six", "hybrid", [], "dip", 5, sensors.SIX),
+    ("six", "hybrid", ["--network", "imuposer"], "imuposer", 5,
+     ("left_forearm", "right_forearm", "head")),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "method", "words", "network", "late", "names"), CASES)
+def test_the_motion_has_exactly_the_recordings_frames(
+    name: str,
+    method: str,
+    words: list[str],
+    network: str,
+    late: int,
+    names: tuple[str, ...],
+    place: Path,
+    tmp_path: Path,
+    answer: Callable[..., Any],
+) -> None:
+    weights = place / f"{network}.safetensors"
+    out = tmp_path / "out.npz"
+    said = answer(
+        "track", place / f"{name}.npz", "-o", out, "--method", method, "--weights", weights,
+        "--height", 1.9, *words,
+    )  # fmt: skip
+    recording = files.recording(place / f"{name}.npz")
+    motion = files.motion(out)
+    assert len(motion) == len(recording) == said["frames"]
+    assert motion.rate_hz == pytest.approx(recording.rate_hz)
+    assert said["look_ahead_frames"] == late
+    assert said["used_sensors"] == list(names)
+    assert (said["method"], said["network"]) == (method, network)
+    assert 0 < said["frame_ms_p50"] <= said["frame_ms_p99"]
+    assert said["fallbacks"] == sum(said["notes"].values()) < len(recording)
+    if method == "dip":  # the pelvis is the sensor's, frame for frame
+        R = recording.select(("pelvis",)).R_world_bone[:, 0]
+        ok = recording.select(("pelvis",)).valid[:, 0]
+        off = np.abs(motion.R_parent_joint[:, 0] - R)[ok].max()
+        assert off < (1e-5 if recording.rate_hz == 60 else 0.05)
+
+
+REFUSED = [
+    (("five", "--method", "dip"), 1, "no left_shank, right_shank, pelvis"),
+    (("five", "--method", "imuposer"), 1, "choose with --sensors"),
+    (("five", "--method", "imuposer", "--sensors", "left_pocket,right_pocket,head"), 1, "both pockets"),
+    (("six", "--method", "imuposer", "--sensors", "pelvis"), 1, "one to three of"),
+    (("six", "--method", "dip", "--network", "imuposer"), 2, "--network"),
+    (("six", "--method", "imuposer", "--window", "20,5"), 2, "--window"),
+    (("six", "--method", "dip", "--window", "20"), 2, "PAST,FUTURE"),
+    (("six", "--method", "guess"), 2, "invalid choice"),
+    (("six", "--method", "dip", "--weights", "none.safetensors"), 1, "none.safetensors"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("words", "status", "why"), REFUSED)
+def test_refusals(
+    words: tuple[str, ...],
+    status: int,
+    why: str,
+    place: Path,
+    tmp_path: Path,
+    refusal: Callable[..., Any],
+) -> None:
+    out = tmp_path / "out.npz"
+    code, said = refusal("track", place / f"{words[0]}.npz", "-o", out, *words[1:])
+    assert code == status and why in said
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_weights_of_the_other_network_are_refused(
+    place: Path, tmp_path: Path, refusal: Callable[..., Any]
+) -> None:
+    weights = place / "imuposer.safetensors"
+    words = ("--method", "dip", "--weights", weights)
+    code, said = refusal("track", place / "six.npz", "-o", tmp_path / "o.npz", *words)
+    assert code == 1 and "weights of imuposer" in said
+
+
+def test_interrupted_leaves_nothing(
+    place: Path, tmp_path: Path, refusal: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("mocap.estimator.replay", interrupt)
+    words = ("--method", "dip", "--weights", place / "dip.safetensors")
+    code, said = refusal("track", place / "six.npz", "-o", tmp_path / "o.npz", *words)
+    assert code == 130 and "interrupted" in said
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_every_stand_in_is_on_the_same_bone() -> None:
+    assert estimators.stand_in("left_wrist", sensors.SIX) == "left_forearm"
+    assert estimators.stand_in("right_forearm", sensors.FIVE) == "right_wrist"
+    assert estimators.stand_in("left_pocket", sensors.SUIT) == "left_thigh"
+    assert estimators.stand_in("left_wrist", sensors.SUIT) == "left_forearm"
+    assert estimators.stand_in("pelvis", sensors.FIVE) is None
+    assert estimators.stand_in("head", ("nose", "head")) == "head"
+    assert estimators.used("dip", sensors.SUIT) == dict(zip(sensors.SIX, sensors.SIX, strict=True))
+    for network in estimators.NETWORKS:
+        for place, sensor in estimators.used(network, sensors.SUIT).items():
+            assert sensors.lookup(place).joint == sensors.lookup(sensor).joint
+
+
+def test_networks_of_methods() -> None:
+    assert estimators.network_of("hybrid") == "dip"
+    assert estimators.network_of("hybrid", "imuposer") == "imuposer"
+    assert estimators.network_of("hybrid-imuposer") == "imuposer"
+    assert estimators.network_of("imuposer-adam") == "imuposer"
+    assert estimators.network_of("dip", "dip") == "dip"
+    for wrong in (("dip", "imuposer"), ("hybrid-dip", "imuposer"), ("sip", None), ("dip", "lstm")):
+        with pytest.raises(PoserError, match=r"unknown|runs the network"):
+            estimators.network_of(*wrong)
+
+
+def test_all_five_places_may_be_given_where_devices_come_and_go(place: Path) -> None:
+    weights = place / "imuposer.safetensors"
+    made = estimators.make(
+        "imuposer", 30.0, sensors.FIVE, weights=weights, skeleton=Skeleton.default(1.5)
+    )
+    assert made.sensors == sensors.FIVE
+    with pytest.raises(PoserError, match="window"):
+        estimators.make("imuposer", 30.0, sensors.FIVE, weights=weights, window=(20, 5))
+
+
+def test_windows_as_words() -> None:
+    assert track.window("50, 5") == (50, 5)
+
+
+def test_the_command_line_is_light() -> None:
+    heavy = "('torch', 'osqp', 'casadi')"
+    code = f"import sys, poser.commands.track; print([m for m in {heavy} if m in sys.modules])"
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert out.stdout.strip() == "[]"
