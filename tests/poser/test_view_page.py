@@ -38,6 +38,8 @@ FLAGS = (
     "--window-size=1000,640", "--force-device-scale-factor=0.5", "--remote-debugging-port=0",
 )  # fmt: skip
 pytestmark = [
+    # Without a graphics card a picture takes seconds, on a machine busy with other work many more.
+    pytest.mark.timeout(600),
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine"),
     # viser's own threads and sockets outlive its stop by a moment.
     pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
