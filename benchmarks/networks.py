@@ -151,7 +151,8 @@ def adam(model: Model, clips: int) -> None:
             break
         worn = [sensors.FIVE[i] for i in COMBINATIONS[(7 * k + 3) % len(COMBINATIONS)]]
         made = synthesis.recording(motion, tuple(worn), synthesis.Noise(), k)
-        done = replay(online.imuposer(model, 25.0, made.sensors), made).motion
+        fast = online.imuposer(model, 25.0, made.sensors, precision=runtime.fastest())
+        done = replay(fast, made).motion
         for rate in rates:
             out = done if rate == 0 else refined(done, made, AdamSettings(learning_rate=rate))
             errors = metrics.evaluate(out, made.reference)
