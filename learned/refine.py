@@ -30,11 +30,12 @@ CHAINS: dict[int, tuple[int, ...]] = {
 
 @dataclass(frozen=True)
 class AdamSettings:
-    """steps: per frame (4.4). learning_rate: rad per step, about (the paper states none); the rest are
+    """steps: per frame (4.4). learning_rate: rad per step, about; the paper states none, this
+    one is from validation clips (`benchmarks/networks.py --adam`). The rest are
     Adam's own constants."""
 
     steps: int = 10
-    learning_rate: float = 0.05
+    learning_rate: float = 0.02
     beta1: float = 0.9
     beta2: float = 0.999
     epsilon: float = 1e-8
