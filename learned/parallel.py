@@ -38,13 +38,9 @@ class World:
         dist.broadcast(shared, 0)
         return tuple(shared.tolist())
 
-    def wrapped(self, model: nn.Module, some_unused: bool) -> Any:
-        """`model` as it is called in training; some_unused: a part of it gets no gradient."""
-        if self.size == 1:
-            return model
-        return nn.parallel.DistributedDataParallel(
-            model, find_unused_parameters=some_unused, broadcast_buffers=False
-        )
+    def wrapped(self, model: nn.Module) -> Any:
+        """`model` as it is called in training: every process ends a backward pass with the same gradients."""
+        return model if self.size == 1 else nn.parallel.DistributedDataParallel(model)
 
     def leave(self) -> None:
         """The end of the common work."""

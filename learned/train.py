@@ -74,6 +74,10 @@ class Trainer:
         torch.manual_seed(settings.seed)
         self.model: Model = build(settings.config) if start is None else copy.deepcopy(start)
         self.model.requires_grad_(True).train().to(self.device)
+        if not settings.reconstruct_acc:
+            # Their loss is off: several processes would wait for gradients that nobody computes.
+            for name, p in self.model.named_parameters():
+                p.requires_grad_(not name.startswith("net.heads.acc"))
         self.offsets = torch.as_tensor(
             np.array(Skeleton.default().offsets), dtype=torch.float32
         ).to(self.device)
@@ -87,8 +91,7 @@ class Trainer:
         folder.mkdir(parents=True, exist_ok=True)
         if resumed:
             self._resume()
-        unused = isinstance(self.model, Dip) and not settings.reconstruct_acc
-        self.called = self.world.wrapped(self.model, unused)
+        self.called = self.world.wrapped(self.model)
 
     def _fit_scalers(self, model: Dip) -> None:
         rng = np.random.default_rng(self.settings.seed)

@@ -1,0 +1,68 @@
+"""A finished run as weights to ship: deviations calibrated, half precision, description, model card."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from learned import checkpoint
+from learned.validation import Windowed, calibrate_deviations, score
+from mocap.formats._files import write_aside
+
+
+def export(best: Path, target: Path, windows: Windowed, about: dict[str, Any]) -> dict[str, Any]:
+    """Write `target` (.safetensors), its .json and its .md from a run's best weights.
+
+    Deviations are fitted on the validation windows, and the figures are those of the halved weights, as
+    they will be loaded. Returns the description.
+    """
+    model = checkpoint.load(best)
+    record = checkpoint.describe(best)
+    with torch.no_grad():
+        for name, value in model.state_dict().items():
+            if value.ndim > 1 and name.startswith("net."):
+                value.copy_(value.half().float())
+    calibrate_deviations(model, windows)
+    known = {k: v for k, v in record.items() if k not in ("schema", "config", "validation")}
+    figures: dict[str, Any] = score(model, windows) | {"windows": len(windows.clip)}
+    checkpoint.save(model, target, known | about | {"validation": figures}, half=True)
+    written = checkpoint.describe(target)
+    with write_aside(target.with_suffix(".md")) as aside:
+        aside.write_text(card(target.name, written), encoding="utf-8")
+    return written
+
+
+def card(name: str, record: dict[str, Any]) -> str:
+    """The model card of a description, in Markdown."""
+    config, figures = record["config"], record.get("validation", {})
+    network = "IMUPoser" if config["architecture"] == "imuposer" else "DIP"
+    training = record.get("training", {})
+    data = record.get("data", {})
+    lines = [
+        f"# {name}",
+        "",
+        f"{network} ({config['architecture']}, {config['hidden']} units), {config['rate_hz']:g} Hz, "
+        f"sensors in this order: {', '.join(config['sensors'])}.",
+        "",
+        "Use: body poses from body-worn inertial sensors, offline or live. Not meant for medical or safety "
+        "decisions.",
+        "",
+        "## Training",
+        "",
+        f"- data: {data.get('what', 'not stated')}",
+        f"- licence of these weights: {record.get('licence', 'not stated')}",
+        f"- {training.get('batch', '?')} windows of {training.get('frames', '?')} frames a step, Adam at "
+        f"{training.get('learning_rate', '?')}, seed {training.get('seed', '?')}",
+        "",
+        "## Validation",
+        "",
+        "On motions that were not trained on, virtual sensors with the realistic noise unless the data say "
+        "otherwise; root, wrists and feet masked as the field does it.",
+        "",
+        "| figure | value |",
+        "|---|---|",
+        *(f"| {key} | {value:.2f} |" for key, value in figures.items() if isinstance(value, float)),
+    ]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,165 @@
+"""Train DIP or IMUPoser on motion capture: virtual sensors are put on the motions as it goes.
+
+MOTION are files of any motion format, or folders that are searched in all their depth (AMASS as it is
+unpacked); without any, the project's own training clips from the cache folder. FOLDER holds the run: it
+can be interrupted, and the same command goes on. Several GPUs or processes: torchrun -m poser train ...
+"""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mocap.errors import PoserError
+from poser import files, options, training
+from poser.console import UsageError, note, part, progress
+
+if TYPE_CHECKING:
+    from learned.corpus import Corpus
+    from learned.settings import TrainSettings
+    from learned.validation import Windowed
+    from mocap.motion import Motion
+    from poser.console import Progress
+
+HELP = "train a network on motion capture"
+CMU_SHARE = 0.65  # of the windows come from CMU, the rest from the larger, repetitive Bandai set
+BANDAI_STEP = 12  # every so many of Bandai's validation clips: they are much alike
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    parser.add_argument("network", choices=training.NETWORKS)
+    parser.add_argument("motions", type=Path, nargs="*", metavar="MOTION", help="files or folders")
+    options.add_output(parser, "FOLDER", "where the run lives, made if missing")
+    parser.add_argument(
+        "--validation", type=Path, nargs="+", default=[], metavar="MOTION",
+        help="motions to validate on (default: every tenth of MOTION by name)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--share", type=training.share, default=1.0, metavar="X",
+        help="train on this share of the clips only (default: 1)",
+    )  # fmt: skip
+    what = parser.add_argument_group("the network (DIP's experiments)")
+    what.add_argument(
+        "--architecture", choices=("birnn", "rnn", "feedforward", "wavenet"), help="default: birnn"
+    )
+    what.add_argument("--hidden", type=training.count, metavar="N", help="units (default: 512)")
+    what.add_argument(
+        "--normalisation",
+        choices=("root", "first", "heading"),
+        help="of DIP's input; default: root",
+    )
+    what.add_argument("--no-acc", action="store_true", help="DIP without accelerations as input")
+    what.add_argument("--no-acc-loss", action="store_true", help="DIP without reconstructing them")
+    what.add_argument("--no-dropout", action="store_true", help="no dropout on the input")
+    training.add_run(parser)
+
+
+def run(args: Namespace) -> int:
+    settings = _settings(args)
+    training.check_outputs(args, [*args.motions, *args.validation])
+    from learned import checkpoint, parallel
+    from learned.train import Trainer
+    from learned.virtual import Windows
+
+    start = None
+    if args.start:
+        start = checkpoint.load(args.start, args.network)
+        if start.config != settings.config:
+            raise PoserError(f"{args.start}: holds another network than these options describe")
+    with progress("reading motions") as tell:
+        corpus, validation, about = _data(args, tell)
+    if args.share < 1:
+        corpus = corpus.subset(args.share, settings.seed)
+        about["clips"] = len(corpus.names)
+    world = parallel.join(args.device)
+    config = settings.config
+    windows = Windows(
+        corpus, config.sensors, config.rate_hz, settings.frames, settings.augmentation, world.device
+    )
+    key = f"{about['key']} {args.share:g}"
+    trainer = Trainer(
+        settings, windows, validation, args.output, {"data": about}, start, world, key
+    )
+    return training.execute(trainer, validation, args, {"data": about})
+
+
+def _settings(args: Namespace) -> TrainSettings:
+    """Settings of the options. Raises UsageError where one does not concern the network."""
+    from learned.models import for_network
+    from learned.settings import TrainSettings
+
+    if args.network == "imuposer":
+        for name in ("architecture", "normalisation", "no_acc", "no_acc_loss"):
+            if getattr(args, name):
+                raise UsageError(f"argument --{name.replace('_', '-')}: for dip only")
+    config: dict[str, Any] = {}
+    for name in ("architecture", "hidden", "normalisation"):
+        if getattr(args, name):
+            config[name] = getattr(args, name)
+    if args.no_acc:
+        config["use_acc"] = False
+    if args.no_dropout:
+        config["dropout"] = 0.0
+    changes = training.changes(args) | {"config": for_network(args.network, **config)}
+    return TrainSettings.paper(args.network, reconstruct_acc=not args.no_acc_loss, **changes)
+
+
+def _data(args: Namespace, tell: Progress) -> tuple[Corpus, Windowed, dict[str, Any]]:
+    """The training corpus, the validation windows, and what they are made of."""
+    if not args.motions:
+        if args.validation:
+            raise UsageError("argument --validation: needs MOTION to train on")
+        return _own_split(args.network, tell)
+    from learned import corpus, validation
+
+    train = training.motion_files(args.motions)
+    if args.validation:
+        held = training.motion_files(args.validation)
+        both = {p.resolve() for p in held} & {p.resolve() for p in train}
+        if both:
+            raise UsageError(f"{min(both)}: would both train and validate")
+    else:
+        train, held = training.held_out(train)
+        names = ", ".join(p.stem for p in held[:5]) + (", ..." if len(held) > 5 else "")
+        note(f"validation: every tenth motion by name, {len(held)} of them ({names})")
+    forward = part(tell, 0.0, 0.9)
+    clips = corpus.read(train, lambda i, n: forward(i / n, f"reading {i} of {n} motions"))
+    windows = validation.cut_for(args.network, validation.recordings(args.network, _motions(held)))
+    about = {
+        "what": "motions of the user", "key": corpus.key_of(train), "clips": len(clips.names),
+        "minutes": round(clips.seconds / 60, 1), "validation_clips": len(held),
+    }  # fmt: skip
+    return clips, windows, about
+
+
+def _motions(paths: Sequence[Path]) -> Iterator[tuple[str, Motion]]:
+    for path in paths:
+        yield path.stem, files.motion(path, quiet=True)
+
+
+def _own_split(network: str, tell: Progress) -> tuple[Corpus, Windowed, dict[str, Any]]:
+    """The project's training and validation clips (`mocap.dataset`)."""
+    from learned import corpus, validation
+    from mocap import dataset
+
+    parts, keys = [], []
+    for k, collection in enumerate(("cmu", "bandai")):
+        paths = dataset.files("train", (collection,))
+        forward = part(tell, 0.45 * k, 0.45 * (k + 1))
+        parts.append(
+            corpus.read(paths, lambda i, n, f=forward: f(i / n, f"reading {i} of {n} motions"))  # type: ignore[misc]
+        )
+        keys.append(corpus.key_of(paths))
+    held = dataset.files("validation", ("cmu",))
+    held += dataset.files("validation", ("bandai",))[::BANDAI_STEP]
+    windows = validation.cut_for(network, validation.recordings(network, _motions(held)))
+    clips = corpus.Corpus.join(parts, (CMU_SHARE, 1 - CMU_SHARE))
+    about = {
+        "what": "CMU Graphics Lab mocap (mocap.cs.cmu.edu) and Bandai-Namco-Research-Motiondataset-2 "
+        "(CC BY-NC 4.0), training clips of the project's split",
+        "key": " ".join(keys), "clips": len(clips.names), "minutes": round(clips.seconds / 60, 1),
+        "validation_clips": len(held),
+    }  # fmt: skip
+    return clips, windows, about

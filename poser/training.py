@@ -1,0 +1,245 @@
+"""What `poser train` and `poser finetune` share: files to motions, a run with its progress, the log drawn."""
+
+from __future__ import annotations
+
+import json
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mocap.errors import FormatError, PoserError
+from poser import files, options
+from poser.console import DONE, INTERRUPTED, complain, emit, note, progress, say
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from learned.train import Trainer
+    from learned.validation import Windowed
+
+MOTION_FORMATS = ("amass", "bvh", "asfamc")
+MOTION_SUFFIXES = (".npz", ".bvh", ".amc")
+NETWORKS = ("dip", "imuposer")
+
+
+def count(text: str) -> int:
+    """An integer of one or more."""
+    if not text.isdecimal() or int(text) < 1:
+        raise ArgumentTypeError(f"{text!r} is not an integer of one or more")
+    return int(text)
+
+
+def share(text: str) -> float:
+    """A share: above 0, at most 1."""
+    value = options.positive(text)
+    if value > 1:
+        raise ArgumentTypeError(f"{text!r} is not a share of at most 1")
+    return value
+
+
+def add_run(parser: ArgumentParser) -> None:
+    """Options of any run: how long, how fast, where, what to leave behind."""
+    run = parser.add_argument_group("the run")
+    run.add_argument("--steps", type=count, metavar="N", help="optimizer steps, at most")
+    run.add_argument(
+        "--minutes", type=options.positive, metavar="M", help="minutes of training, at most"
+    )
+    run.add_argument("--batch", type=count, metavar="N", help="windows per step")
+    run.add_argument("--frames", type=count, metavar="N", help="frames of a window")
+    run.add_argument(
+        "--rate", dest="speed", type=options.positive, metavar="X", help="learning rate"
+    )
+    run.add_argument("--every", type=count, metavar="N", help="steps between validations")
+    run.add_argument("--seed", type=options.seed, default=0, metavar="N", help="default: 0")
+    run.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="default: cpu")
+    run.add_argument(
+        "--resume", action="store_true",
+        help="fail where FOLDER holds no run (without this a run there goes on, else one begins)",
+    )  # fmt: skip
+    run.add_argument(
+        "--start", type=Path, metavar="WEIGHTS", help="begin with these weights (.safetensors)"
+    )
+    left = parser.add_argument_group("what is left besides FOLDER")
+    left.add_argument(
+        "--export", type=Path, metavar="FILE.safetensors",
+        help="the best weights in half precision, with description and model card beside them",
+    )  # fmt: skip
+    left.add_argument("--plot", type=Path, metavar="PNG", help="the run's log as a picture")
+    options.add_json(parser)
+
+
+def changes(args: Namespace) -> dict[str, Any]:
+    """Settings that the options state, under the names of `TrainSettings`."""
+    names = {
+        "steps": "steps", "minutes": "minutes", "batch": "batch", "frames": "frames",
+        "speed": "learning_rate", "every": "every", "seed": "seed",
+    }  # fmt: skip
+    stated = {field: getattr(args, option) for option, field in names.items()}
+    return {field: value for field, value in stated.items() if value is not None}
+
+
+def check_outputs(args: Namespace, inputs: Sequence[Path]) -> None:
+    """Before any work: can everything be written?"""
+    if args.export:
+        files.check_output(args.export, [*inputs, *filter(None, [args.start])], (".safetensors",))
+    if args.plot:
+        files.check_output(args.plot, inputs, (".png",))
+    files.make_folder(args.output)
+    if args.resume and not (args.output / "state.pt").exists():
+        raise PoserError(f"{args.output}: holds no run to resume")
+
+
+def motion_files(paths: Sequence[Path]) -> list[Path]:
+    """Files as they are, folders searched for motions in all their depth; sorted by name.
+
+    Files in folders that are no motions (AMASS keeps shapes beside them) are passed over, with a note.
+    Raises PoserError where nothing is left.
+    """
+    found, passed = [], 0
+    for path in paths:
+        if not path.is_dir():
+            found.append(path)
+            continue
+        inside = [p for p in sorted(path.rglob("*")) if p.suffix.lower() in MOTION_SUFFIXES]
+        motions = [p for p in inside if _is_motion(p)]
+        found += motions
+        passed += len(inside) - len(motions)
+    if passed:
+        note(f"{passed} files in the folders are no motions and were passed over")
+    if not found:
+        raise PoserError(f"no motion file in {', '.join(str(p) for p in paths)}")
+    return sorted(dict.fromkeys(found), key=lambda p: (p.name, str(p)))
+
+
+def _is_motion(path: Path) -> bool:
+    from mocap import formats
+
+    try:
+        return formats.detect(path).name in MOTION_FORMATS
+    except FormatError:
+        return False
+
+
+def held_out(paths: Sequence[Path]) -> tuple[list[Path], list[Path]]:
+    """(training, validation): every tenth file by name validates. Raises PoserError below two files."""
+    if len(paths) < 2:
+        raise PoserError(
+            "one motion cannot both train and validate; give more, or --validation MOTION"
+        )
+    validation = list(paths[::10])
+    return [p for p in paths if p not in set(validation)], validation
+
+
+def execute(trainer: Trainer, windows: Windowed, args: Namespace, extra: dict[str, Any]) -> int:
+    """Run, export, draw, report. Ctrl-C leaves a state to go on from and gives 130."""
+    first = trainer.world.first
+    begun = trainer.step
+    if begun and first and not args.json:
+        say(f"{args.output}: goes on at step {begun}")
+    try:
+        with progress(f"training {trainer.settings.config.network}") as tell:
+            best = trainer.run(_Told(trainer, tell, args.json or not first))
+    except KeyboardInterrupt:
+        if first:
+            complain(
+                f"interrupted after step {trainer.step}; the same command goes on from there",
+                f"poser {args.command}",
+            )
+        return INTERRUPTED
+    finally:
+        trainer.world.leave()
+    if not first:
+        return DONE
+    log = read_log(args.output)
+    if args.plot:
+        from poser import pictures
+
+        pictures.save(draw_log(log), args.plot)
+    record: dict[str, Any] = {
+        "network": trainer.settings.config.network, "folder": str(args.output), "weights": str(best),
+        "step": trainer.step, "begun_at_step": begun, "seconds": trainer.seconds,
+        "stopped": "no better for long" if trainer.stale() else "done",
+        "validation": _best_row(log), "settings": trainer.settings.to_json(),
+    } | extra  # fmt: skip
+    if args.export:
+        from learned.export import export
+
+        written = export(best, args.export, windows, {})
+        record |= {"exported": str(args.export), "exported_validation": written["validation"]}
+    if args.json:
+        emit(record)
+    else:
+        say(f"{best}: {_figures(record['validation'])}, step {record['validation'].get('step')}")
+        if args.export:
+            say(f"{args.export}: {_figures(record['exported_validation'])}, half precision")
+    return DONE
+
+
+class _Told:
+    """Progress rows of a trainer as a bar, and each validation as a line."""
+
+    def __init__(self, trainer: Trainer, tell: Any, quiet: bool) -> None:
+        self.trainer, self.tell, self.quiet = trainer, tell, quiet
+
+    def __call__(self, row: dict[str, Any]) -> None:
+        done, seconds = row["done"], self.trainer.seconds
+        left = seconds * (1 - done) / done if 0 < done < 1 else 0.0
+        loss = row.get("loss", row.get("training_loss"))
+        self.tell(done, f"step {row['step']}, loss {loss:.3f}, {_minutes(left)} left")
+        if "validation_loss" in row and not self.quiet:
+            say(f"step {row['step']}: loss {loss:.3f}, {_figures(row)}, {_minutes(left)} left")
+
+
+def _minutes(seconds: float) -> str:
+    return f"{seconds / 60:.0f} min" if seconds >= 90 else f"{seconds:.0f} s"
+
+
+def _figures(row: dict[str, Any]) -> str:
+    """`validation 12.3 deg sip, 10.1 deg, 5.4 cm, loss 0.123` of a log row or a description."""
+    get = {k.removeprefix("validation_"): v for k, v in row.items()}
+    if "sip_deg" not in get:
+        return "not validated"
+    return (
+        f"validation sip {get['sip_deg']:.1f} deg, angular {get['angular_deg']:.1f} deg, "
+        f"position {get['position_cm']:.1f} cm, loss {get['loss']:.3f}"
+    )
+
+
+def read_log(folder: Path) -> list[dict[str, Any]]:
+    """The rows of a run's log, one a validation."""
+    path = folder / "log.jsonl"
+    if not path.exists():
+        return []
+    return [json.loads(line) for line in path.read_text().splitlines() if line.endswith("}")]
+
+
+def _best_row(log: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    return dict(min(log, key=lambda r: r["validation_loss"], default={}))
+
+
+def draw_log(log: Sequence[dict[str, Any]]) -> Figure:
+    """Losses, angles, distance and rate over the steps."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10, 7))
+    axes = figure.subplots(2, 2, sharex=True)
+    steps = [r["step"] for r in log]
+    for axis, label, names in _panels(axes):
+        for name in names:
+            words = name.replace("_", " ")
+            axis.plot(steps, [r[name] for r in log], ".-", lw=1.3, label=words)
+        axis.set_ylabel(label)
+        axis.grid(alpha=0.3)
+        axis.legend(fontsize=8, frameon=False)
+    for axis in axes[1]:
+        axis.set_xlabel("step")
+    figure.tight_layout()
+    return figure
+
+
+def _panels(axes: Any) -> Iterator[tuple[Any, str, tuple[str, ...]]]:
+    yield axes[0, 0], "loss", ("training_loss", "validation_loss")
+    yield axes[0, 1], "deg", ("validation_sip_deg", "validation_angular_deg")
+    yield axes[1, 0], "cm", ("validation_position_cm",)
+    yield axes[1, 1], "learning rate", ("rate",)

@@ -1,0 +1,285 @@
+"""`poser train` and `poser finetune` end to end, on tiny networks."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from learned import checkpoint, train, validation
+from mocap import sensors, synthesis
+from mocap.formats.amass import write_motion
+from mocap.formats.native import write_recording
+from poser import commands, motions, training
+from poser.__main__ import main
+
+Answer = Callable[..., Any]
+Refusal = Callable[..., tuple[int, str]]
+SMALL = ["--hidden", "8", "--batch", "2", "--frames", "12", "--every", "2", "--no-dropout"]
+
+
+@pytest.fixture(autouse=True)
+def _small(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> None:
+    monkeypatch.setattr(train, "_SCALER_BATCHES", 1)
+    torch.set_num_threads(1)  # small networks only wait for each other on several
+    monkeypatch.setattr(validation, "MOST_WINDOWS", {"dip": 12, "imuposer": 6})
+    monkeypatch.setenv("POSER_CACHE", str(tmp_path_factory.getbasetemp() / "poser-cache"))
+    missing = tuple(n for n in ("train", "finetune") if n not in commands.NAMES)
+    monkeypatch.setattr(commands, "NAMES", commands.NAMES + missing)
+
+
+@pytest.fixture(scope="module")
+def clips(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder as AMASS has it: motions two folders deep, and a shape file that is none."""
+    top = tmp_path_factory.mktemp("amass")
+    for k, make in enumerate((motions.squat, motions.arm_raises, motions.leg_raise)):
+        folder = top / f"subject{k}" / "deep"
+        folder.mkdir(parents=True)
+        write_motion(folder / f"clip{k}.npz", make(2.0))
+    np.savez(top / "subject0" / "shape.npz", betas=np.zeros(10))
+    return top
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three recordings of a full suit at 100 Hz, with their reference."""
+    top = tmp_path_factory.mktemp("recordings")
+    for k, make in enumerate((motions.squat, motions.arm_raises, motions.leg_raise)):
+        motion = make(2.0, rate_hz=100.0)
+        made = synthesis.recording(motion, (*sensors.SUIT, "left_wrist", "right_wrist",
+                                            "left_pocket", "right_pocket"))  # fmt: skip
+        write_recording(top / f"take{k}.npz", made)
+    return top
+
+
+@pytest.mark.parametrize("network", ["dip", "imuposer"])
+def test_train_resume_export(
+    clips: Path, tmp_path: Path, answer: Answer, capsys: pytest.CaptureFixture[str], network: str
+) -> None:
+    out, weights = tmp_path / "run", tmp_path / "w.safetensors"
+    words = ["train", network, clips, "-o", out, *SMALL]
+    first = answer(*words, "--steps", "4")
+    assert (first["step"], first["begun_at_step"], first["network"]) == (4, 0, network)
+    assert first["validation"]["validation_sip_deg"] > 0
+    assert first["data"]["clips"] == 2 and first["data"]["validation_clips"] == 1
+    # The same command goes on; more steps are no other settings.
+    again = answer(*words, "--steps", "6", "--export", weights, "--plot", tmp_path / "log.png")
+    assert (again["step"], again["begun_at_step"]) == (6, 4)
+    model = checkpoint.load(weights, network)
+    assert model.config.hidden == 8
+    card = weights.with_suffix(".md").read_text()
+    assert "motions of the user" in card and "| sip_deg |" in card
+    record = checkpoint.describe(weights)
+    assert record["validation"]["sip_deg"] == again["exported_validation"]["sip_deg"]
+    assert (tmp_path / "log.png").read_bytes()[:4] == b"\x89PNG"
+    # For people: the held-out clip is named, the shape file counted.
+    capsys.readouterr()
+    assert main([str(w) for w in [*words, "--steps", "8"]]) == 0
+    said = capsys.readouterr()
+    assert "goes on at step 6" in said.out and "validation sip" in said.out
+    assert "every tenth motion by name, 1 of them (clip0)" in said.err
+    assert "1 files in the folders are no motions" in said.err
+
+
+def test_options_reach_the_settings(clips: Path, tmp_path: Path, answer: Answer) -> None:
+    found = answer(
+        "train", "dip", clips, "-o", tmp_path / "r", *SMALL, "--steps", "2", "--architecture", "rnn",
+        "--normalisation", "heading", "--no-acc", "--no-acc-loss", "--rate", "0.01", "--seed", "3",
+        "--share", "0.5",
+    )["settings"]  # fmt: skip
+    config = found["config"]
+    assert (config["architecture"], config["normalisation"]) == ("rnn", "heading")
+    assert (config["use_acc"], config["dropout"], config["hidden"]) == (False, 0.0, 8)
+    assert (found["learning_rate"], found["seed"], found["reconstruct_acc"]) == (0.01, 3, False)
+    log = training.read_log(tmp_path / "r")
+    assert [r["step"] for r in log] == [2]
+
+
+def test_weights_to_start_from(
+    clips: Path, tmp_path: Path, answer: Answer, refusal: Refusal
+) -> None:
+    words = ["train", "dip", clips, *SMALL, "--steps", "2"]
+    answer(*words, "-o", tmp_path / "a")
+    start = tmp_path / "a" / "best.safetensors"
+    found = answer(*words, "-o", tmp_path / "b", "--start", start)
+    assert found["step"] == 2
+    _, said = refusal("train", "dip", clips, "-o", tmp_path / "c", "--start", start, "--hidden", 9)
+    assert "holds another network" in said
+    _, said = refusal("train", "imuposer", clips, "-o", tmp_path / "c", "--start", start)
+    assert "weights of dip, expected imuposer" in said
+
+
+def test_a_run_with_other_settings_or_motions_is_left_alone(
+    clips: Path, tmp_path: Path, answer: Answer, refusal: Refusal
+) -> None:
+    words = ["train", "dip", clips, "-o", tmp_path / "r", *SMALL, "--steps", "2"]
+    answer(*words)
+    state = (tmp_path / "r" / "state.pt").read_bytes()
+    assert "other settings" in refusal(*words, "--seed", "1")[1]
+    assert "other motions" in refusal(*words, "--share", "0.5")[1]
+    assert (tmp_path / "r" / "state.pt").read_bytes() == state
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "said"),
+    [
+        (["imuposer", "CLIPS", "--architecture", "rnn"], 2, "--architecture: for dip only"),
+        (["imuposer", "CLIPS", "--no-acc"], 2, "--no-acc: for dip only"),
+        (["dip", "CLIPS", "--frames", "4"], 1, "frames must be 8 or more"),
+        (["dip", "CLIPS", "--steps", "0"], 2, "not an integer of one or more"),
+        (["dip", "CLIPS", "--share", "1.5"], 2, "not a share"),
+        (["dip", "CLIPS", "--resume"], 1, "holds no run to resume"),
+        (["dip", "CLIPS", "--export", "x.pt"], 2, "must end in .safetensors"),
+        (["dip", "CLIPS/subject0/deep/clip0.npz"], 1, "one motion cannot both train and validate"),
+        (["dip", "CLIPS", "--validation", "CLIPS"], 2, "would both train and validate"),
+        (["dip", "CLIPS/subject0/shape.npz", "CLIPS/none.npz"], 1, "do not fit"),
+        (["dip", "--validation", "CLIPS"], 2, "needs MOTION"),
+        (["lstm", "CLIPS"], 2, "invalid choice"),
+    ],
+)
+def test_nonsense_is_refused(
+    clips: Path, tmp_path: Path, refusal: Refusal, words: list[str], status: int, said: str
+) -> None:
+    given = [w.replace("CLIPS", str(clips)) for w in words]
+    found, sentence = refusal("train", *given, "-o", tmp_path / "r")
+    assert (found, said in sentence) == (status, True), sentence
+
+
+def test_no_cuda_is_said(
+    clips: Path, tmp_path: Path, refusal: Refusal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    _, said = refusal("train", "dip", clips, "-o", tmp_path / "r", *SMALL, "--device", "cuda")
+    assert "has no CUDA device" in said
+
+
+def test_ctrl_c_leaves_130_and_a_sentence(
+    clips: Path, tmp_path: Path, answer: Answer, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    one = train.Trainer._one
+
+    def interrupted(self: train.Trainer) -> float:
+        if self.step == 2:
+            os.kill(os.getpid(), signal.SIGINT)
+        return one(self)
+
+    words = [str(w) for w in ["train", "dip", clips, "-o", tmp_path / "r", *SMALL, "--steps", "5"]]
+    with monkeypatch.context() as patch:
+        patch.setattr(train.Trainer, "_one", interrupted)
+        assert main(words) == 130
+    said = capsys.readouterr()
+    assert "interrupted after step 3; the same command goes on from there" in said.err
+    assert answer(*words)["begun_at_step"] == 3
+
+
+def _free_port() -> int:
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        return int(s.getsockname()[1])
+
+
+def test_two_processes_train_one_network(clips: Path, tmp_path: Path) -> None:
+    """As torchrun starts them (gloo): the same weights in both, one of them writes."""
+    folder = str(tmp_path / "r")
+    words = [
+        "train",
+        "dip",
+        str(clips),
+        "-o",
+        folder,
+        *SMALL,
+        "--steps",
+        "4",
+        "--no-acc-loss",
+        "--json",
+    ]
+    code = (
+        "import sys\n"
+        "from poser import commands\n"
+        "commands.NAMES += tuple(n for n in ('train',) if n not in commands.NAMES)\n"
+        "from learned import train\n"
+        "train._SCALER_BATCHES = 1\n"
+        "run = train.Trainer.run\n"
+        "def told(self, progress=None):\n"
+        "    out = run(self, progress)\n"
+        "    total = sum(float(p.double().abs().sum()) for p in self.model.parameters())\n"
+        "    print('TOTAL', total, self.rng.integers(10**9), file=sys.stderr)\n"
+        "    return out\n"
+        "train.Trainer.run = told\n"
+        "from poser.__main__ import main\n"
+        f"sys.exit(main({words!r}))\n"
+    )
+    port = str(_free_port())
+    running = []
+    for rank in range(2):
+        world = {
+            "WORLD_SIZE": "2", "RANK": str(rank), "LOCAL_RANK": str(rank),
+            "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port, "OMP_NUM_THREADS": "1",
+        }  # fmt: skip
+        running.append(
+            subprocess.Popen(
+                [sys.executable, "-c", code], env=os.environ | world, text=True,
+                stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+            )
+        )  # fmt: skip
+    said = [p.communicate(timeout=240) for p in running]
+    assert [p.returncode for p in running] == [0, 0], said
+    assert json.loads(said[0][0])["step"] == 4 and said[1][0] == ""
+    totals = [next(x for x in err.splitlines() if x.startswith("TOTAL")).split() for _, err in said]
+    assert totals[0][1] == totals[1][1]  # gradients were shared
+    assert totals[0][2] != totals[1][2]  # windows were not
+    assert [r["step"] for r in training.read_log(tmp_path / "r")] == [2, 4]
+
+
+@pytest.mark.parametrize("network", ["dip", "imuposer"])
+def test_finetune(
+    clips: Path, recordings: Path, tmp_path: Path, answer: Answer, network: str
+) -> None:
+    answer("train", network, clips, "-o", tmp_path / "a", *SMALL, "--steps", "2")
+    start = tmp_path / "a" / "best.safetensors"
+    words = ["finetune", network, recordings, "-o", tmp_path / "b", "--start", start]
+    quick = ["--batch", "2", "--frames", "12", "--every", "2"]
+    found = answer(*words, *quick, "--steps", "4")
+    assert found["step"] == 4 and found["data"]["held_out"] == 1
+    assert found["settings"]["learning_rate"] == 1e-4
+    assert answer(*words, *quick, "--steps", "6")["begun_at_step"] == 4
+    record = checkpoint.describe(tmp_path / "b" / "best.safetensors")
+    assert record["started_from"] == "best.safetensors"
+
+
+def test_what_cannot_be_fine_tuned_on(
+    clips: Path, recordings: Path, tmp_path: Path, answer: Answer, refusal: Refusal,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    answer("train", "dip", clips, "-o", tmp_path / "a", *SMALL, "--steps", "2")
+    start = ["--start", tmp_path / "a" / "best.safetensors"]
+    bare = synthesis.recording(motions.squat(2.0))
+    write_recording(
+        tmp_path / "bare.npz",
+        type(bare)(bare.rate_hz, bare.sensors, bare.R_world_bone, bare.acc_world, bare.valid),
+    )
+    few = synthesis.recording(motions.squat(2.0), sensors.FIVE)
+    write_recording(tmp_path / "few.npz", few)
+    words = ["finetune", "dip", "-o", tmp_path / "b", *start]
+    for name, sentence in (
+        ("bare.npz", "holds no reference motion to learn from"),
+        ("few.npz", "not in the recording"),
+    ):
+        status, said = refusal(*words, tmp_path / name)
+        assert status == 1 and sentence in said and name in said
+    _, said = refusal(*words, clips / "subject0" / "deep" / "clip0.npz")
+    assert "holds a motion, expected a calibrated recording" in said
+    monkeypatch.setattr(checkpoint, "WEIGHTS", tmp_path)
+    _, said = refusal("finetune", "dip", recordings, "-o", tmp_path / "b")
+    assert "no weights of dip come with this installation" in said
