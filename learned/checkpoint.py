@@ -13,7 +13,8 @@ from typing import Any, get_args
 
 import torch
 from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file
+from safetensors.torch import save as serialised
 
 from learned.errors import CheckpointError
 from learned.features import Normalisation
@@ -42,7 +43,8 @@ def save(model: Model, path: Path, about: dict[str, Any], half: bool = False) ->
     }  # fmt: skip
     record = {"schema": SCHEMA, "config": model.config.to_json(), **about}
     with write_aside(path) as aside:
-        save_file(tensors, aside, metadata={"schema": SCHEMA})
+        # Not save_file: it replaces the file by one that only its owner may read.
+        aside.write_bytes(serialised(tensors, metadata={"schema": SCHEMA}))
     with write_aside(path.with_suffix(".json")) as aside:
         aside.write_text(json.dumps(_plain(record), indent=1, allow_nan=False) + "\n")
 
