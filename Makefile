@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 # One clone may move: paths are relative, and the stamp follows what it was made from.
 
-.PHONY: help venv demo test lint types check bench bench-split bench-real prior clean
+.PHONY: help venv demo test lint types check bench bench-split bench-real prior weights clean
 
 help:
 	@echo "make demo         all methods on the built-in recording, with pictures and a report in poser-demo/"
@@ -47,6 +47,9 @@ bench-split: $(STAMP)
 
 bench-real: $(STAMP)
 	$(BIN)/python benchmarks/real.py
+
+weights: $(STAMP)
+	scripts/train_weights.sh $${POSER_CACHE:-$$HOME/.cache/poser}/runs/weights
 
 prior: $(STAMP)
 	$(BIN)/python scripts/make_prior.py

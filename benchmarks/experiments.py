@@ -1,0 +1,284 @@
+"""The papers' experiments on this project's split: `python benchmarks/experiments.py NAME [--minutes M]`.
+
+Each experiment trains what it compares (training clips), chooses by validation loss (validation clips) and
+measures on the test clips: CMU subjects 02, 05, 09, virtual sensors with the realistic noise unless the
+experiment is about noise. Results go to the folder of -o as JSON lines (`NAME.jsonl`), a table is printed.
+A run that is there already is not trained again. These figures are on these motions only: they do not belong
+in the papers' tables.
+
+Trained: dip-tables (Tables 2, 3: RNN and BiRNN with and without acceleration loss and dropout, offline and
+online), dip-networks (Tables 4, 5: feed-forward, WaveNet, no accelerations), normalisations (appendix C),
+share (25, 50, 100 % of the clips), hidden (128, 256, 512), augmentation (on, off), noise-gap (clean and noisy
+training against clean and noisy test), one-clip (learnt by heart). Of given weights (--weights): dip-window
+(Fig. 6), dip-histogram (Fig. 5), imuposer-devices (Fig. 6), imuposer-regions (Fig. 8).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import networks_on_split as on_split
+import numpy as np
+import torch
+from common import row
+
+from learned import checkpoint, corpus
+from learned.augmentation import Augmentation
+from learned.features import COMBINATIONS
+from learned.models import Model, for_network
+from learned.settings import TrainSettings
+from learned.train import Trainer
+from learned.validation import cut_for
+from learned.virtual import Windows
+from mocap import dataset
+from mocap.errors import PoserError
+from mocap.synthesis import Noise
+
+CMU_SHARE = 0.65
+CLEAN = Noise.none()
+STRIDE = 5  # frames between those looked at, where 24 combinations are compared
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One network to train: a name, changes of its configuration and of the settings, share of clips."""
+
+    name: str
+    config: dict[str, Any]
+    settings: dict[str, Any]
+    share: float = 1.0
+
+
+def variant(name: str, share: float = 1.0, **changes: Any) -> Variant:
+    """A variant of DIP; settings are told from the configuration by their names."""
+    own = ("reconstruct_acc", "augmentation", "frames")
+    settings = {k: v for k, v in changes.items() if k in own}
+    return Variant(name, {k: v for k, v in changes.items() if k not in own}, settings, share)
+
+
+def _tables() -> list[Variant]:
+    out = []
+    for architecture in ("rnn", "birnn"):
+        for acc in (False, True):
+            for dropout in (0.0, 0.2):
+                words = "+".join(w for w, on in (("acc", acc), ("dropout", dropout)) if on)
+                out.append(
+                    variant(
+                        f"{architecture} {words or 'plain'}", architecture=architecture,
+                        reconstruct_acc=acc, dropout=dropout,
+                    )
+                )  # fmt: skip
+    return out
+
+
+TRAINED: dict[str, list[Variant]] = {
+    "dip-tables": _tables(),
+    "dip-networks": [
+        variant("birnn"),
+        variant("feedforward", architecture="feedforward"),
+        variant("wavenet", architecture="wavenet"),
+        variant("birnn no acc", use_acc=False, reconstruct_acc=False),
+    ],
+    "normalisations": [variant(n, normalisation=n) for n in ("root", "first", "heading")],
+    "share": [variant(f"{s:.0%}", share=s) for s in (0.25, 0.5, 1.0)],
+    "hidden": [variant(f"{h} units", hidden=h) for h in (128, 256, 512)],
+    "augmentation": [
+        variant("augmented"),
+        variant("not augmented", augmentation=replace(
+            Augmentation.none(), noise=Noise(), noise_scale=(0.3, 1.5))),
+    ],
+    "noise-gap": [
+        variant("trained noisy"),
+        variant("trained clean", augmentation=replace(
+            Augmentation(), noise=CLEAN, noise_scale=(0, 0), seat_m=0.0)),
+    ],
+}  # fmt: skip
+ONLINE = {"offline": None, "(20,5)": (20, 5), "(50,5)": (50, 5), "(20,0)": (20, 0)}
+
+
+@cache
+def training_clips() -> corpus.Corpus:
+    parts = [corpus.read(dataset.files("train", (c,))) for c in ("cmu", "bandai")]
+    return corpus.Corpus.join(parts, (CMU_SHARE, 1 - CMU_SHARE))
+
+
+def trained(v: Variant, args: argparse.Namespace, network: str = "dip") -> Model:
+    """The best weights of a variant's run, trained where they are not there yet."""
+    config = for_network(network, **({"hidden": args.hidden} | v.config))
+    settings = TrainSettings.paper(
+        network, **({"config": config, "minutes": args.minutes, "seed": args.seed,
+                     "every": args.every, "batch": args.batch} | v.settings)
+    )  # fmt: skip
+    folder = args.output / "runs" / f"{v.name.replace(' ', '-')}-{args.hidden}-{args.seed}"
+    clips = training_clips().subset(v.share, args.seed) if v.share < 1 else training_clips()
+    source = Windows(clips, config.sensors, config.rate_hz, settings.frames, settings.augmentation)
+    noise = settings.augmentation.noise
+    held = cut_for(network, on_split.recorded("validation", network, noise), args.windows)
+    run = Trainer(settings, source, held, folder, {"data": {"what": "the project's split"}})
+    best = run.run(lambda r: print(f"\r{v.name}: {r['done']:.0%}  ", end="", file=sys.stderr))
+    print(f"\r{v.name}: {run.step} steps", file=sys.stderr)
+    return checkpoint.load(best)
+
+
+def rows_of_trained(name: str, args: argparse.Namespace) -> Iterable[dict[str, Any]]:
+    """One row a variant and way of showing it the test clips."""
+    for v in TRAINED[name]:
+        model = trained(v, args)
+        ways: dict[str, tuple[int, int] | None] = (
+            ONLINE if name == "dip-tables" else {"(20,5)": (20, 5)}
+        )
+        for noise_name, noise in {"realistic": Noise(), "none": CLEAN}.items():
+            if noise_name == "none" and name != "noise-gap":
+                continue
+            tests = on_split.recorded("test", "dip", noise)
+            for way, window in ways.items():
+                found = on_split.measured(on_split.dip_motions(model, tests, window), tests)
+                yield {"variant": v.name, "shown": way, "test noise": noise_name} | found
+
+
+def rows_of_one_clip(args: argparse.Namespace) -> Iterable[dict[str, Any]]:
+    """Learning one clip by heart, clean and not augmented: far under 1 deg, or something is broken."""
+    recording = on_split.recorded("validation", "dip", CLEAN)[0]
+    assert recording.reference is not None
+    config = for_network("dip", hidden=args.hidden, dropout=0.0)
+    settings = TrainSettings.paper(
+        "dip", config=config, minutes=args.minutes, seed=args.seed, every=args.every, patience=0,
+        augmentation=Augmentation.none(), cooldown=0.3,
+    )  # fmt: skip
+    clip = corpus.pack([("clip", recording.reference)])
+    source = Windows(clip, config.sensors, config.rate_hz, settings.frames, settings.augmentation)
+    folder = args.output / "runs" / f"one-clip-{args.hidden}-{args.seed}"
+    best = Trainer(settings, source, cut_for("dip", [recording], args.windows), folder).run()
+    motions = on_split.dip_motions(checkpoint.load(best), [recording], (20, 5))
+    yield {"frames": len(recording)} | on_split.measured(motions, [recording])
+
+
+def rows_of_window(model: Model) -> Iterable[dict[str, Any]]:
+    """Figure 6: error over past and future frames."""
+    tests = on_split.recorded("test", "dip", Noise())
+    for past in (0, 1, 5, 10, 20, 50):
+        for future in (0, 1, 5, 10, 20):
+            motions = on_split.dip_motions(model, tests, (past, future), stride=4)
+            yield {"past": past, "future": future} | on_split.measured(motions, tests, stride=4)
+
+
+def rows_of_histogram(model: Model) -> Iterable[dict[str, Any]]:
+    """Figure 5: share of frames and joints by local angle, DIP's 15 joints, bins of 5 deg."""
+    tests = on_split.recorded("test", "dip", Noise())
+    angles = on_split.local_angles(on_split.dip_motions(model, tests, (20, 5)), tests)
+    edges = np.r_[np.arange(0, 65, 5), 180]
+    counts, _ = np.histogram(angles, edges)
+    for low, high, n in zip(edges[:-1], edges[1:], counts, strict=True):
+        yield {"from deg": int(low), "to deg": int(high), "share": n / angles.size}
+
+
+def group_of(combination: Sequence[int]) -> str:
+    """One of the 12 groups of IMUPoser's Figure 6: how many devices, left and right alike."""
+    kinds = ["wrist", "wrist", "pocket", "pocket", "head"]
+    worn = [kinds[i] for i in combination]
+    return f"{len(worn)}: " + "+".join(
+        f"{worn.count(k)} {k}" if worn.count(k) > 1 else k for k in dict.fromkeys(worn)
+    )
+
+
+def rows_of_devices(model: Model) -> Iterable[dict[str, Any]]:
+    """Figure 6 of IMUPoser: the 24 combinations in their 12 groups (means over a group's)."""
+    tests = on_split.recorded("test", "imuposer", Noise())
+    groups: dict[str, list[dict[str, float]]] = {}
+    for c in COMBINATIONS:
+        motions = on_split.imuposer_motions(model, tests, c, STRIDE)
+        groups.setdefault(group_of(c), []).append(on_split.measured(motions, tests, STRIDE))
+    for name in sorted(groups):
+        found = groups[name]
+        means = {k: float(np.mean([f[k] for f in found])) for k in found[0]}
+        yield {"devices": name, "combinations": len(found)} | means
+
+
+def rows_of_regions(model: Model) -> Iterable[dict[str, Any]]:
+    """Figure 8 of IMUPoser: joint distance by body region and by what the region wears, cm."""
+    tests = on_split.recorded("test", "imuposer", Noise())
+    cells: dict[tuple[str, str], list[float]] = {}
+    for c in COMBINATIONS:
+        by_joint = on_split.joint_cm(
+            on_split.imuposer_motions(model, tests, c, STRIDE), tests, STRIDE
+        )
+        for region, (joints, device, other) in on_split.REGIONS.items():
+            own, across = device in c, other is not None and other in c
+            worn = ("both sides" if across else "this one") if own else (
+                "the other side" if across else "none")  # fmt: skip
+            cells.setdefault((region, worn), []).append(float(by_joint[list(joints)].mean()))
+    for (region, worn), values in sorted(cells.items()):
+        yield {"region": region, "device": worn, "position_cm": float(np.mean(values)),
+               "combinations": len(values)}  # fmt: skip
+
+
+OF_WEIGHTS: dict[str, tuple[str, Callable[[Model], Iterable[dict[str, Any]]]]] = {
+    "dip-window": ("dip", rows_of_window),
+    "dip-histogram": ("dip", rows_of_histogram),
+    "imuposer-devices": ("imuposer", rows_of_devices),
+    "imuposer-regions": ("imuposer", rows_of_regions),
+}
+
+
+def weights_for(network: str, args: argparse.Namespace) -> Model:
+    """--weights, else those that are shipped, else a network trained here."""
+    path = args.weights or checkpoint.shipped(network)
+    if args.weights or path.exists():
+        return checkpoint.load(path, network)
+    print(f"no weights of {network}: one is trained for {args.minutes:g} minutes", file=sys.stderr)
+    return trained(
+        Variant(network, {}, {"frames": 125} if network == "imuposer" else {}), args, network
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("name", choices=[*TRAINED, *OF_WEIGHTS, "one-clip"])
+    parser.add_argument("--minutes", type=float, default=60.0, help="of training, each network")
+    parser.add_argument("--hidden", type=int, default=512)
+    parser.add_argument("--batch", type=int, default=16)
+    parser.add_argument("--every", type=int, default=1000, help="steps between validations")
+    parser.add_argument("--windows", type=int, help="validation windows (default: as poser train)")
+    parser.add_argument("--clips", type=int, help="test clips (default: all)")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--weights", type=Path)
+    parser.add_argument("-o", "--output", type=Path, default=dataset.cache_folder() / "experiments")
+    args = parser.parse_args()
+    torch.set_num_threads(1)
+    on_split.MOST_CLIPS = args.clips
+    if args.name in TRAINED:
+        found = list(rows_of_trained(args.name, args))
+    elif args.name == "one-clip":
+        found = list(rows_of_one_clip(args))
+    else:
+        network, rows = OF_WEIGHTS[args.name]
+        found = list(rows(weights_for(network, args)))
+    args.output.mkdir(parents=True, exist_ok=True)
+    made = {"minutes": args.minutes, "hidden": args.hidden, "seed": args.seed}
+    with (args.output / f"{args.name}.jsonl").open("a") as out:
+        for r in found:
+            out.write(json.dumps(r | made) + "\n")
+    columns = list(found[0])
+    print(row(columns, [20] * len(columns)))
+    for r in found:
+        print(
+            row(
+                [f"{x:.3f}" if isinstance(x, float) else x for x in r.values()], [20] * len(columns)
+            )
+        )
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except PoserError as e:
+        sys.exit(f"experiments: {e}")
