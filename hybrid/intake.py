@@ -67,7 +67,7 @@ def proposal(pose: Any) -> Pose | None:
     if p is None or not np.isfinite(p).all():
         p = np.zeros(3)
     std = _array(getattr(pose, "std_rad", None), (24, 3))
-    return Pose(time_s, R, p, std, str(getattr(pose, "note", "")))
+    return Pose(time_s, R, p, std, str(getattr(pose, "note", "")), _covariance(pose))
 
 
 def sample_at(samples: Sequence[Sample], time_s: float, tolerance_s: float) -> Sample | None:
@@ -78,6 +78,14 @@ def sample_at(samples: Sequence[Sample], time_s: float, tolerance_s: float) -> S
         if off <= tolerance_s and (best is None or off < abs(best.time_s - time_s)):
             best = sample
     return best
+
+
+def _covariance(pose: Any) -> Array | None:
+    """The stated covariance itself (its identity tells that it has not changed), or None where it is none."""
+    C = getattr(pose, "covariance", None)
+    if not isinstance(C, np.ndarray) or C.shape != (72, 72) or C.dtype != np.float64:
+        return None
+    return C if np.isfinite(C).all() else None
 
 
 def _number(x: Any) -> float | None:

@@ -10,6 +10,9 @@ linearised at R = R_net Exp(xi) Exp(phi step): xi the refinement of the frame be
 phi = exp(-dt / step_memory_s). What the network gets wrong changes slowly, so one step a frame follows it,
 and the damping holds the refinement back, not the pose. The momentum makes a low-pass of second order of
 it: of what sensors shake, a third reaches the pose that a first-order one of the same lag would let through.
+
+The network's own tremble is taken off its pose first (`smoothed`): a window that starts anew every frame
+answers a little differently every frame.
 """
 
 from __future__ import annotations
@@ -43,6 +46,7 @@ class Memory:
     from the frame before. root (3,) rad: Log(R_net^T R_measured) of the root.
     R_free (F,3,3): the refined rotations, or None at a start. motion: the sensors' filters, p relative to
     the pelvis sensor. refused_s (S,): for how long each filter's predictions have been refused.
+    R_net (24,3,3), turn (24,3) rad/s: the network's pose, smoothed, and how fast it turns; None at a start.
     """
 
     xi: Array
@@ -51,6 +55,8 @@ class Memory:
     R_free: Array | None
     motion: motion_filter.SensorMotion
     refused_s: Array
+    R_net: Array | None = None
+    turn: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +81,21 @@ class Charts(NamedTuple):
     theta: Array
     proposed: Array
     back: Array | None
+
+
+def smoothed(
+    R_before: Array, turn: Array, R_now: Array, dt: float, memory_s: float
+) -> tuple[Array, Array]:
+    """The critically damped g-h filter on rotations: R (J,3,3) and turning rates (J,3) rad/s.
+
+    Predicted: R_before Exp(turn dt); innovation i = Log(predicted^T R_now); R = predicted Exp(g i),
+    turn + h i / dt, with theta = exp(-dt / memory_s), g = 1 - theta^2, h = (1 - theta)^2
+    (Brookner 1998, 1.2.6). It follows a constant rate without lag.
+    """
+    theta = np.exp(-dt / memory_s)
+    ahead = R_before @ ori.exp(turn * dt)
+    i = ori.log(ahead.transpose(0, 2, 1) @ R_now)
+    return ahead @ ori.exp((1 - theta**2) * i), turn + (1 - theta) ** 2 * i / dt
 
 
 def free_joints(skeleton: Skeleton, joint: np.ndarray, spine: bool) -> tuple[int, ...]:
@@ -114,6 +135,8 @@ class Refinement:
             for x in (settings.network_scale, np.deg2rad(settings.network_sigma_deg))
         )
         self._limbs = self.joint != 0
+        # The covariance seen last and what follows from it: a cache, nothing that a frame hands on.
+        self._known: tuple[Array, tuple[Array, Array] | None] | None = None
 
     def start(self) -> Memory:
         """Nothing remembered."""
@@ -134,7 +157,11 @@ class Refinement:
 
         The pose must be orthonormal, valid samples finite and orthonormal, dt positive.
         """
-        R_net = np.array(pose.R_parent_joint)
+        R_net, turn = np.array(pose.R_parent_joint), np.zeros((len(pose.R_parent_joint), 3))
+        memory_s = self.settings.network_memory_s
+        if memory_s > 0 and memory.R_net is not None and memory.turn is not None:
+            R_net, turn = smoothed(memory.R_net, memory.turn, R_net, dt, memory_s)
+        memory = replace(memory, R_net=R_net.copy(), turn=turn)
         seen = sample.valid & np.isfinite(sample.R_world_bone).all((-1, -2))
         root = self._measured_root(R_net, sample, seen, memory, dt)
         motion = self._predicted(memory.motion, sample, dt)
@@ -153,6 +180,7 @@ class Refinement:
         answer, dv = self._solve(self.qp, terms, charts, dt)
         if not answer.ok:
             still = np.zeros_like(memory.xi)
+            R_net[1:] = pose.R_parent_joint[1:]
             memory = replace(memory, xi=still, step=still, R_free=R_net[self._free])
             return memory, Refined(R_net, pose.std_rad, NOT_CONVERGED, events, answer)
         after = ahead @ ori.exp(dv)
@@ -203,9 +231,9 @@ class Refinement:
     ) -> tuple[list[tasks.Term], np.ndarray, dict[str, int]]:
         """All terms at this configuration, the predictions refused (S,), counts of what was left out."""
         s = self.settings
-        sigma = self._network_sigma(pose)
+        sigma, whitener = self._network_errors(pose)
         terms = [
-            tasks.network(xi, sigma),
+            tasks.network(xi, whitener),
             tasks.damping(self.kinematics.n, np.deg2rad(s.step_sigma_deg) * np.sqrt(dt)),
         ]
         use = np.flatnonzero(seen & self._limbs)
@@ -280,6 +308,32 @@ class Refinement:
         motion = motion_filter.update(motion, solved, used, noise.solved_variance(dt))
         motion = motion_filter.start(motion, solved, begin | again, noise)
         return motion, np.where(again, 0.0, refused_s), int(again.sum())
+
+    def _network_errors(self, pose: Pose) -> tuple[Array, Array]:
+        """Of the free joints, sigma (F,3) rad and L (3F,3F) with L^T L the inverse of their covariance.
+
+        The covariance is the network's where it gives one: errors of joints along a limb lean against each
+        other, and without that the limb's end would seem less certain than it is. Otherwise it is the
+        diagonal of the deviations.
+        """
+        if pose.covariance is not None:
+            if self._known is None or self._known[0] is not pose.covariance:
+                self._known = (pose.covariance, self._whitened(pose.covariance))
+            if self._known[1] is not None:
+                return self._known[1]
+        sigma = self._network_sigma(pose)
+        return sigma, np.diag(1 / sigma.ravel())
+
+    def _whitened(self, covariance: Array) -> tuple[Array, Array] | None:
+        """`_network_errors` of a covariance (72,72); None where it is not one."""
+        rows = (3 * np.array(self._free)[:, None] + np.arange(3)).ravel()
+        C = covariance[np.ix_(rows, rows)]
+        C = C + np.deg2rad(self.settings.network_floor_deg) ** 2 * np.eye(len(C))
+        try:
+            whitener = np.linalg.inv(np.linalg.cholesky(C))
+        except np.linalg.LinAlgError:  # not positive definite
+            return None
+        return np.sqrt(C.diagonal()).reshape(-1, 3), whitener
 
     def _network_sigma(self, pose: Pose) -> Array:
         """(F,3) rad: the network's deviation of the free joints, scaled and kept in bounds."""

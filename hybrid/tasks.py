@@ -84,16 +84,15 @@ def position(
     return Position(term, innovation, refused)
 
 
-def network(xi: Array, sigma: Array) -> Term:
-    """Log(R_net^T R) / sigma of the free joints: xi (F,3) rad now, sigma (F,3) rad.
+def network(xi: Array, whitener: Array) -> Term:
+    """L Log(R_net^T R) of the free joints: xi (F,3) rad now, whitener L (3F,3F), L^T L = Lambda_net.
 
-    R = R_net Exp(xi) and Log(Exp(xi) Exp(dv)) = xi + J_r^-1(xi) dv. The covariance is the network's own,
-    diagonal in each joint's rotation vector.
+    R = R_net Exp(xi) and Log(Exp(xi) Exp(dv)) = xi + J_r^-1(xi) dv.
     """
     F = len(xi)
     J = np.zeros((F, 3, F, 3))
-    J[np.arange(F), :, np.arange(F), :] = ori.right_jacobian_inv(xi) / sigma[:, :, None]
-    return Term((xi / sigma).ravel(), J.reshape(3 * F, 3 * F))
+    J[np.arange(F), :, np.arange(F), :] = ori.right_jacobian_inv(xi)
+    return Term(whitener @ xi.ravel(), whitener @ J.reshape(3 * F, 3 * F))
 
 
 def damping(n: int, sigma: float) -> Term:

@@ -84,6 +84,7 @@ class Dip(nn.Module):
     out_deviation: Tensor
     deviation_scale: Tensor
     deviation_rad: Tensor
+    error_covariance: Tensor
 
     def __init__(self, config: Config) -> None:
         super().__init__()
@@ -106,6 +107,8 @@ class Dip(nn.Module):
         # have unit variance; and the deviation of joints that it does not predict.
         self.register_buffer("deviation_scale", torch.ones(24))
         self.register_buffer("deviation_rad", torch.full((24, 3), 0.2))
+        # Of all joints' errors together (72,72) rad^2: `learned.validation.calibrate_deviations`.
+        self.register_buffer("error_covariance", 0.04 * torch.eye(72))
 
     @property
     def input_scaler(self) -> Scaler:
@@ -164,9 +167,11 @@ class Dip(nn.Module):
 
 
 class Imuposer(nn.Module):
-    """IMUPoser's network; `deviation_rad` (24 combinations, 24, 3): its validation errors."""
+    """IMUPoser's network; its validation errors for each of the 24 combinations: `deviation_rad`
+    (24,24,3) rad, joint by joint, `error_covariance` (24,72,72) rad^2, all joints together."""
 
     deviation_rad: Tensor
+    error_covariance: Tensor
 
     def __init__(self, config: Config) -> None:
         super().__init__()
@@ -174,6 +179,7 @@ class Imuposer(nn.Module):
         self.net = IMUPoser(hidden=config.hidden, dropout=config.dropout)
         count = len(features.COMBINATIONS)
         self.register_buffer("deviation_rad", torch.full((count, 24, 3), 0.3))
+        self.register_buffer("error_covariance", 0.09 * torch.eye(72).repeat(count, 1, 1))
 
     def forward(self, x: Tensor) -> Tensor:
         out: Tensor = self.net(x)

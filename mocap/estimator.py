@@ -37,6 +37,8 @@ class Pose:
     """One row of a Motion: time s of the frame it describes, R_parent_joint (24,3,3), p_world_root (3,) m.
 
     std_rad: (24,3) posterior standard deviation of each joint's rotation vector in rad, where known.
+    covariance: (72,72) rad^2 of the errors of all joints together, joint by joint, each the vector
+    Log(R_estimated^T R_true); where known. It may be the same for many poses (then the same array).
     note: why this pose is a fallback; empty when it is not.
     """
 
@@ -45,6 +47,7 @@ class Pose:
     p_world_root: Array
     std_rad: Array | None = None
     note: str = ""
+    covariance: Array | None = None
 
 
 class Estimator(Protocol):

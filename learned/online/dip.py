@@ -59,6 +59,7 @@ class DipWindow:
         if len(self.sensors) != len(model.config.sensors):
             raise SensorError(f"DIP reads {', '.join(model.config.sensors)}")
         self.runtime = runtime or prepare(model)
+        self._covariance = model.error_covariance.double().numpy()
         # The frame of "first" is the window's own first one: nothing can be kept from window to window.
         self._relative = model.config.normalisation == "first"
 
@@ -77,7 +78,7 @@ class DipWindow:
         local[0] = state.R_world_root[0]
         lost = [name for name, gone in zip(self.sensors, state.lost[0], strict=True) if gone]
         note = f"nothing from {', '.join(lost)}" if lost else ""
-        return state, Answer(local, std.double().numpy(), note)
+        return state, Answer(local, std.double().numpy(), note, self._covariance)
 
     def _fed(
         self, state: DipState | None, R: Array, acc: Array, present: NDArray[np.bool_], jumped: bool

@@ -22,11 +22,13 @@ TOES = (10, 11)
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """A network's pose: R_parent_joint (24,3,3), std_rad (24,3), and why it is a fallback, if it is."""
+    """A network's pose: R_parent_joint (24,3,3), std_rad (24,3), why it is a fallback, if it is, and the
+    covariance of its errors as in `mocap.estimator.Pose`."""
 
     R_parent_joint: Array
     std_rad: Array
     note: str = ""
+    covariance: Array | None = None
 
 
 class Network(Protocol):
@@ -152,7 +154,7 @@ class Online:
             R = ori.interpolate(times[k : k + 2], pair, [now])[0]
             share = (now - times[k]) / (times[k + 1] - times[k])
             std = first.std_rad + share * (second.std_rad - first.std_rad)
-        return Pose(stamp, R, self.p_world_root, std, first.note)
+        return Pose(stamp, R, self.p_world_root, std, first.note, first.covariance)
 
 
 def standing(skeleton: Skeleton) -> Array:

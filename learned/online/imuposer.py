@@ -73,6 +73,7 @@ class ImuposerWindow:
         if frames <= 2 * _EDGE:
             raise CheckpointError(f"a window of {frames} frames is too short")
         self.runtime = runtime or prepare(model)
+        self._covariance = tuple(c.double().numpy() for c in model.error_covariance)
 
     @torch.inference_mode()
     def tick(
@@ -92,9 +93,10 @@ class ImuposerWindow:
         rows = self._rows(state, worn, kept)
         features = self.runtime.features(rows, self.frames - 1)
         pose = imuposer_pose(pose_numbers(self.model, self.runtime, features))
-        std = self.model.deviation_rad[COMBINATIONS.index(worn)]
+        which = COMBINATIONS.index(worn)
+        std = self.model.deviation_rad[which]
         note = "" if worn == have else f"worn {_names(have)}: only {_names(worn)} is used"
-        answer = Answer(pose.double().numpy(), std.double().numpy(), note)
+        answer = Answer(pose.double().numpy(), std.double().numpy(), note, self._covariance[which])
         return ImuposerState(state.R, state.acc, rows.numpy(), worn, answer), answer
 
     def nearest(self, worn: tuple[int, ...]) -> tuple[int, ...]:

@@ -46,7 +46,8 @@ def test_nothing_moves_where_measurement_and_network_agree(
     truth: Motion, names: tuple[str, ...]
 ) -> None:
     recording = synthesis.recording(truth, names)
-    alone, refined = tracked(FakeNetwork(truth, names=names), recording)
+    plain = TrackerSettings(network_memory_s=0)
+    alone, refined = tracked(FakeNetwork(truth, names=names), recording, settings=plain)
     moved = np.rad2deg(ori.angle_between(alone.R_parent_joint, refined.R_parent_joint))
     assert moved.max() < 0.5
     assert np.median(moved) < 0.01
@@ -97,7 +98,7 @@ def test_accelerations_reach_the_pose(truth: Motion) -> None:
         return float(100 * np.linalg.norm(off[30:, 20], axis=-1).mean())
 
     without = wrist_cm(TrackerSettings(positions=False))
-    assert wrist_cm(TrackerSettings(filter_noise=calm)) < 0.9 * without
+    assert wrist_cm(TrackerSettings(positions=True, filter_noise=calm)) < 0.9 * without
 
 
 def test_time_frames_and_uncertainty_of_the_poses(truth: Motion, noisy: Recording) -> None:
@@ -359,7 +360,7 @@ def test_a_rate_limit_holds_and_gives_way_to_nothing_but_limits(truth: Motion) -
         )
         for s in samples(recording)
     ][1:-1]
-    slow = TrackerSettings(rate_limit_deg_s=300.0)
+    slow = TrackerSettings(rate_limit_deg_s=300.0, network_memory_s=0)
     poses, _ = feed(Tracker(network_two, slow), rows)
     elbow = np.stack([check(p).R_parent_joint[18] for p in poses])
     step = np.rad2deg(ori.angle_between(elbow[:-1], elbow[1:]))

@@ -16,6 +16,7 @@ from learned.networks.dip import Gaussian
 from learned.online.dip import DipWindow
 from learned.online.estimator import Online
 from learned.online.imuposer import ImuposerWindow
+from learned.runtime import prepare
 from learned.validation import cut
 from mocap import Recording, synthesis
 from mocap import orientation as ori
@@ -69,6 +70,8 @@ def far(poses: list[Pose], R: np.ndarray) -> float:
     return float(np.abs(np.stack([p.R_parent_joint for p in poses]) - R).max())
 
 
+EVERY = 10_000  # frames of layer 2: all of a window, which is exact whatever the weights
+
 DIP_CASES = [
     ({}, (20, 5)), ({}, (50, 5)), ({}, (20, 0)), ({}, (3, 7)), ({}, (0, 0)),
     ({"architecture": "rnn"}, (20, 0)),
@@ -83,7 +86,8 @@ DIP_CASES = [
 def test_dip_streams_as_the_batch_of_its_windows(changes: dict, window: tuple[int, int]) -> None:
     net, rec = model("dip", **changes), recording(60.0, places.SIX, "realistic", 1.0)
     assert isinstance(net, Dip)
-    poses = stream(online.dip(net, 60.0, window), rec)
+    exact = Online(DipWindow(net, window, runtime=prepare(net, reach=EVERY)), 60.0)
+    poses = stream(exact, rec)
     w = cut([rec], *window)
     out = net(net.inputs(w.R_world_bone, w.acc_world)[0])
     at = Gaussian(
@@ -93,7 +97,8 @@ def test_dip_streams_as_the_batch_of_its_windows(changes: dict, window: tuple[in
     assert (
         np.ptp(batch[:, 1:].numpy(), axis=0).max() > 0.05
     )  # the poses do differ from frame to frame
-    assert far(poses, batch.numpy()) < 1e-5
+    # A convolution over a window of another length adds in another order.
+    assert far(poses, batch.numpy()) < (3e-5 if changes.get("architecture") == "wavenet" else 1e-5)
     std = net.pose_deviation(at, batch).numpy()
     np.testing.assert_allclose([p.std_rad for p in poses], std, rtol=1e-4)
     np.testing.assert_allclose([p.time_s for p in poses], rec.start_s + np.arange(len(rec)) / 60)
@@ -105,7 +110,7 @@ def test_imuposer_streams_as_the_batch_of_its_windows(worn: tuple[int, ...]) -> 
     net, rec = model("imuposer"), recording(25.0, places.FIVE, s=3.0)
     assert isinstance(net, Imuposer)
     names = tuple(places.FIVE[k] for k in worn)
-    estimator = online.imuposer(net, 25.0, names)
+    estimator = Online(ImuposerWindow(net, names, runtime=prepare(net, reach=EVERY)), 25.0)
     assert estimator.look_ahead_frames == 0
     poses = stream(estimator, rec.select(names))
     w = cut([rec], 124, 0)
