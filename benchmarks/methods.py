@@ -206,7 +206,7 @@ def main() -> None:
     parser.add_argument("--split", default="test", choices=("validation", "test"))
     parser.add_argument("--part", default="dip,imuposer")
     parser.add_argument("--weights", help="other weights than the shipped ones (one part alone)")
-    parser.add_argument("--seconds", type=float, default=15.0, help="of each clip; imuposer: 6")
+    parser.add_argument("--seconds", type=float, default=15.0, help="of each clip; imuposer: at most 3")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("-o", "--output", type=Path)
     args = parser.parse_args()
@@ -214,7 +214,7 @@ def main() -> None:
     kept: dict[str, Any] = {}
     for part in args.part.split(","):
         rate, seconds = (
-            (60.0, args.seconds) if part == "dip" else (IMUPOSER_HZ, min(6.0, args.seconds))
+            (60.0, args.seconds) if part == "dip" else (IMUPOSER_HZ, min(3.0, args.seconds))
         )
         clips = list(dataset.clips(args.split, ("cmu",), rate, min_s=2.0, max_s=seconds))
         work = dip_clip if part == "dip" else imuposer_clip

@@ -18,9 +18,14 @@ import sip
 from mocap import Recording, formats, metrics, noskill, sensors
 from mocap import orientation as ori
 from mocap.calibration import calibrate
+from poser import tracking
 from sip.prior import shipped
 
 WINDOWS = ((46, 56), (90, 100), (110, 120))
+ONLINE = (
+    ("dip", "dip"), ("hybrid-dip", "dip"), ("imuposer", "imuposer"), ("hybrid-imuposer", "imuposer"),
+)  # fmt: skip
+DEVICES = ("left_forearm", "right_thigh", "head")  # as a watch, a phone in a pocket, earphones
 NAMES = ("left_out_deg", "sip_deg", "angular_deg", "position_cm", "jitter", "jitter_reference")
 
 
@@ -38,7 +43,7 @@ def main() -> None:
     settings = sip.Settings(solver=args.solver)
     raw = formats.read(data_folder() / "qmt-fullbody" / "full_body_example_data.mat").content
     print(machine())
-    widths = (14, 10, *[12] * len(NAMES))
+    widths = (16, 10, *[12] * len(NAMES))
     for way in args.orientation.split(","):
         recording, calibration = calibrate(raw, pose="n", at=44.0, orientation=way)
         print(f"\norientation from {way}; {calibration.method}")
@@ -63,8 +68,13 @@ def main() -> None:
                 solved[terms] = (s.motion, s.seconds)
             own = sip.solve(six, settings=replace(settings, self_calibration=True))
             solved["sip+calibr."] = (own.motion, own.seconds)
+            for name, network in ONLINE:
+                seen = sensors.SIX if network == "dip" else DEVICES
+                run = tracking.track(piece.select(seen), name.split("-")[0], network)
+                solved[name] = (run.motion, float(run.frame_s.sum()))
             for name, (motion, seconds) in solved.items():
-                m = metrics.evaluate(motion, full.motion, recording=piece, seen=sensors.SIX)
+                seen = DEVICES if "imuposer" in name else sensors.SIX
+                m = metrics.evaluate(motion, full.motion, recording=piece, seen=seen)
                 figures = [f"{getattr(m, k):.2f}" for k in NAMES]
                 print(row((name, f"{seconds:.1f}", *figures), widths), flush=True)
 

@@ -52,6 +52,7 @@ def card(name: str, record: dict[str, Any]) -> str:
         "## Training",
         "",
         f"- data: {data.get('what', 'not stated')}",
+        f"- credit: {data.get('credit', 'not stated')}",
         f"- licence of these weights: {record.get('licence', 'not stated')}",
         f"- {training.get('batch', '?')} windows of {training.get('frames', '?')} frames a step, Adam at "
         f"{training.get('learning_rate', '?')}, seed {training.get('seed', '?')}",
@@ -65,4 +66,20 @@ def card(name: str, record: dict[str, Any]) -> str:
         "|---|---|",
         *(f"| {key} | {value:.2f} |" for key, value in figures.items() if isinstance(value, float)),
     ]
+    test = record.get("test", {})
+    if test:
+        lines += [
+            "",
+            "## Test",
+            "",
+            f"{test.get('what', 'not stated')}",
+            "",
+            "| figure | value |",
+            "|---|---|",
+        ]
+        lines += [
+            f"| {key} | {value:.2f} |" for key, value in test.items() if isinstance(value, float)
+        ]
+    if record.get("failures"):
+        lines += ["", "## Known failures", "", *(f"- {text}" for text in record["failures"])]
     return "\n".join(lines) + "\n"

@@ -54,7 +54,7 @@ def _entry(compared: Compared) -> tuple[dict[str, Any], int]:
             "name": NAMES.get(name, name),
             "colour": COLOURS.get(name, "#333333"),
         }
-        track |= _positions(result.motion, rate)
+        track |= _positions(result.motion, rate, reference)
         error = result.metrics.frame_position_cm
         if error is not None:
             source = result.metrics.rate_hz or reference.rate_hz
@@ -67,11 +67,13 @@ def _entry(compared: Compared) -> tuple[dict[str, Any], int]:
     return {"name": compared.name, "rate": rate, "tracks": tracks}, size
 
 
-def _positions(motion: Motion, rate_hz: float) -> dict[str, Any]:
+def _positions(motion: Motion, rate_hz: float, reference: Motion) -> dict[str, Any]:
     """Joints in mm as little-endian int16, base64: frame by frame, 24 joints, xyz; the pelvis stays over
-    the middle of the floor, its height kept."""
+    the middle of the floor, as high as the reference's: few methods know where the body is."""
     p = motion.resampled(rate_hz).p_world_joint
-    p = p - p[:, :1] * [1.0, 0.0, 1.0]
+    height = reference.resampled(rate_hz).p_world_root[:, 1]
+    p = p - p[:, :1]
+    p[..., 1] += height[np.minimum(np.arange(len(p)), len(height) - 1)][:, None]
     mm = np.clip(np.round(1000 * p), -32768, 32767).astype("<i2")
     return {"frames": len(p), "data": base64.b64encode(mm.tobytes()).decode("ascii")}
 
@@ -89,8 +91,8 @@ _CONTROLS = """<div id="player">
 <output id="pl-clock"></output></p>
 <canvas id="pl-bodies" style="width:100%;touch-action:none;cursor:grab"></canvas>
 <canvas id="pl-errors" style="width:100%;height:170px;cursor:pointer"></canvas>
-<p class="quiet">Drag to look around. Blue: left, orange: right, light grey behind: the reference. Below:
-distance of the joints to the reference, roots aligned, cm; click to go there.</p>
+<p class="quiet">Drag to look around. Blue: left, orange: right, light grey behind: the reference,
+pelvis on pelvis. Below: distance of the joints to the reference, roots aligned, cm; click to go there.</p>
 </div>
 """
 

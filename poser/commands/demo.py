@@ -50,7 +50,7 @@ def run(args: Namespace) -> int:
         worn = (*sensors.SIX, *(d for d in DEVICES if d not in sensors.SIX))
         recording = synthesis.recording(motion, worn, synthesis.NOISES["realistic"], rng)
         files.write(args.output / f"{NAME}.npz", recording)
-        job = comparison.Job(NAME, recording, comparison.SOLVED, sensors.SIX, DEVICES)
+        job = comparison.Job(NAME, recording, comparison.METHODS, sensors.SIX, DEVICES)
         compared = comparison.run(job, part(tell, 0.02, 0.9))
         tell(0.9, "pictures and report")
         files.write(args.output / "reference.npz", compared.truth)

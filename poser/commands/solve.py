@@ -125,7 +125,9 @@ def _body(args: Namespace) -> Skeleton:
     return Skeleton.default(args.height)
 
 
-def cut_window(recording: Recording, begin: float | None, end: float | None) -> tuple[Recording, int]:
+def cut_window(
+    recording: Recording, begin: float | None, end: float | None
+) -> tuple[Recording, int]:
     """The frames from `begin` to before `end`, s on the recording's clock, and the first one's number."""
     if begin is None and end is None:
         return recording, 0

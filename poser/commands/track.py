@@ -69,7 +69,7 @@ def run(args: Namespace) -> int:
     recording = files.recording(args.recording)
     with files.about(args.recording):
         recording = recording.select(options.sensors(args.sensors, recording.sensors))
-        recording = _chosen(recording, network, args.recording)
+        recording = _chosen(recording, network, args.recording, free=args.sensors is None)
     estimator, done = _tracked(args, recording)
     extra = {"std_rad": done.std_rad} if args.uncertainty and done.std_rad is not None else None
     if args.uncertainty and extra is None:
@@ -79,10 +79,17 @@ def run(args: Namespace) -> int:
     return DONE
 
 
-def _chosen(recording: Recording, network: str, path: Path) -> Recording:
-    """The sensors that the network reads; says where one stands in for another."""
+def _chosen(recording: Recording, network: str, path: Path, free: bool) -> Recording:
+    """The sensors that the network reads; says where one stands in for another, and, where the choice is
+    free, which of more than IMUPoser can use are taken."""
     found = estimators.used(network, recording.sensors)
     if network == "imuposer":
+        if free and len(found) > estimators.MOST_DEVICES:
+            from poser.comparison import devices_of
+
+            recording = recording.select(devices_of(recording))
+            found = estimators.used(network, recording.sensors)
+            note(f"{path}: imuposer sees {', '.join(found)}; --sensors chooses others")
         estimators.check_devices(found)
     for place, sensor in found.items():
         if sensor != place:

@@ -175,6 +175,6 @@ def test_player_holds_the_joints_to_the_millimetre() -> None:
     assert data["recordings"][0]["name"] == "</script>" and track["name"] == "SIP"
     raw = np.frombuffer(base64.b64decode(track["data"]), "<i2").reshape(-1, 24, 3)
     p = truth.resampled(30).p_world_joint
-    p = p - p[:, :1] * [1, 0, 1]
+    p = p - p[:, :1] * [1, 0, 1]  # over the middle of the floor
     np.testing.assert_allclose(raw / 1000, p, atol=6e-4)
     assert max(track["error_cm"]) == 0

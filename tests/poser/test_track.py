@@ -48,6 +48,7 @@ CASES = [
     ("suit", "dip", [], "dip", 6, sensors.SIX),
     ("six", "imuposer", [], "imuposer", 5, ("left_forearm", "right_forearm", "head")),
     ("five", "imuposer", ["--sensors", "head,right_pocket"], "imuposer", 0, ("right_pocket", "head")),
+    ("five", "imuposer", [], "imuposer", 0, ("left_wrist", "right_pocket", "head")),
     ("five", "imuposer-adam", ["--sensors", "left_wrist"], "imuposer", 0, ("left_wrist",)),
     ("six", "hybrid", [], "dip", 5, sensors.SIX),
     ("six", "hybrid", ["--network", "imuposer"], "imuposer", 5,
@@ -91,7 +92,7 @@ def test_the_motion_has_exactly_the_recordings_frames(
 
 REFUSED = [
     (("five", "--method", "dip"), 1, "no left_shank, right_shank, pelvis"),
-    (("five", "--method", "imuposer"), 1, "choose with --sensors"),
+    (("five", "--method", "imuposer", "--sensors", "five"), 1, "choose with --sensors"),
     (("five", "--method", "imuposer", "--sensors", "left_pocket,right_pocket,head"), 1, "both pockets"),
     (("six", "--method", "imuposer", "--sensors", "pelvis"), 1, "one to three of"),
     (("six", "--method", "dip", "--network", "imuposer"), 2, "--network"),
