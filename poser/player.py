@@ -45,7 +45,7 @@ def _entry(compared: Compared) -> tuple[dict[str, Any], int]:
     reference = compared.truth
     rate = min(RATE_HZ, reference.rate_hz)
     tracks: list[dict[str, Any]] = [
-        {"name": "reference", "colour": "#888888"} | _positions(reference, rate)
+        {"name": "reference", "colour": "#888888"} | _positions(reference, rate, reference)
     ]
     for name, result in compared.methods.items():
         if name in NO_SKILL:
