@@ -5,13 +5,14 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 # One clone may move: paths are relative, and the stamp follows what it was made from.
 
-.PHONY: help venv demo test lint types check bench bench-split bench-real prior weights clean
+.PHONY: help venv demo test lint types check bench bench-split bench-methods bench-real prior weights clean
 
 help:
 	@echo "make demo         all methods on the built-in recording, with pictures and a report in poser-demo/"
 	@echo "make test         lint, types and the whole test suite"
 	@echo "make bench        speed: solver ways, length, number of sensors, memory"
 	@echo "make bench-split  accuracy on the fixed test split (needs the data, see README)"
+	@echo "make bench-methods  DIP, IMUPoser and the hybrids on the fixed test split (needs the data)"
 	@echo "make bench-real   the real recording (needs the data)"
 
 $(STAMP): pyproject.toml constraints.txt
@@ -41,9 +42,14 @@ bench: $(STAMP)
 	$(BIN)/python benchmarks/speed.py --length
 	$(BIN)/python benchmarks/speed.py --sensors
 	$(BIN)/python benchmarks/speed.py --memory
+	$(BIN)/python benchmarks/networks.py
+	$(BIN)/python benchmarks/qp.py
 
 bench-split: $(STAMP)
 	$(BIN)/python benchmarks/split.py
+
+bench-methods: $(STAMP)
+	$(BIN)/python benchmarks/methods.py
 
 bench-real: $(STAMP)
 	$(BIN)/python benchmarks/real.py
