@@ -116,6 +116,51 @@ def test_sip_all_is_sip_on_every_sensor(recordings: Path, tmp_path: Path) -> Non
     assert same.global_deg == pytest.approx(0, abs=1e-3)
 
 
+ONLINE = ("dip", "imuposer", "imuposer-adam", "hybrid-dip", "hybrid-imuposer")
+
+
+def test_the_online_methods_with_the_shipped_weights(recordings: Path, tmp_path: Path) -> None:
+    words = ["compare", str(recordings / "walk.npz"), "-o", str(tmp_path)]
+    assert main([*words, "--methods", ",".join(ONLINE)]) == 0
+    methods = json.loads((tmp_path / "results.json").read_text())["recordings"][0]["methods"]
+    truth = formats.read(recordings / "walk.npz").content.reference
+    for name in ONLINE:
+        said = methods[name]
+        assert said["frames"] == len(truth) and said["look_ahead_frames"] == 5
+        assert 0 < said["frame_ms_p50"] <= said["frame_ms_p99"]
+        motion = formats.read(tmp_path / f"{name}.npz").content
+        assert len(motion) == len(truth)
+        # The wrists stand for watches: IMUPoser sees these and the head.
+        devices = ["left_forearm", "right_forearm", "head"]
+        seen = devices if "imuposer" in name else list(sensors.SIX)
+        assert said["used_sensors"] == seen
+    assert methods["dip"]["sip_deg"] < methods["mean-pose"]["sip_deg"]
+    assert methods["hybrid-dip"]["instrumented_deg"] < methods["dip"]["instrumented_deg"]
+
+
+def test_a_recording_that_does_not_serve_a_method_is_compared_by_the_others(
+    recordings: Path, tmp_path: Path
+) -> None:
+    whole = formats.read(recordings / "walk.npz").content
+    assert NATIVE.write is not None
+    NATIVE.write(tmp_path / "legs.npz", whole.select(("left_shank", "right_shank", "pelvis")))
+    words = ["compare", str(tmp_path / "legs.npz"), "-o", str(tmp_path), "--solver", "banded"]
+    assert main(words) == 0
+    record = json.loads((tmp_path / "results.json").read_text())
+    assert set(record["mean"]) == {"sop", "sip", "mean-pose", "nearest-pose"}
+
+
+def test_solve_starts_from_a_network(recordings: Path, tmp_path: Path) -> None:
+    rec = str(recordings / "walk.npz")
+    solved = {}
+    for start in ("prior", "dip", "imuposer"):
+        out = str(tmp_path / f"{start}.npz")
+        assert main(["solve", rec, "-o", out, "--solver", "banded", "--start", start]) == 0
+        solved[start] = formats.read(tmp_path / f"{start}.npz").content
+    same = metrics.evaluate(solved["dip"], solved["prior"]).global_deg
+    assert same is not None and same < 3  # the same valley, whatever the start
+
+
 def test_a_motion_file_as_reference(recordings: Path, tmp_path: Path) -> None:
     write_motion(tmp_path / "truth.npz", short("squat"))
     words = ["compare", str(recordings / "bare.npz"), "-o", str(tmp_path / "o"), *FAST]
