@@ -35,11 +35,20 @@ IMUPOSER_HZ = 25.0
 
 
 class Playback:
-    """An estimator that gives poses already made: the network of a refinement that is timed alone."""
+    """An estimator that gives poses already made: the network of a refinement that is timed alone.
 
-    def __init__(self, motion: Motion, std_rad: np.ndarray | None, names: tuple[str, ...]) -> None:
+    covariance: of the network's errors, as its own poses carry it.
+    """
+
+    def __init__(
+        self,
+        motion: Motion,
+        std_rad: np.ndarray | None,
+        covariance: np.ndarray,
+        names: tuple[str, ...],
+    ) -> None:
         self.rate_hz, self.sensors, self.look_ahead_frames = motion.rate_hz, names, 0
-        self._motion, self._std = motion, std_rad
+        self._motion, self._std, self._covariance = motion, std_rad, covariance
 
     def init(self) -> int:
         """The first frame."""
@@ -49,7 +58,10 @@ class Playback:
         """The next pose."""
         m = self._motion
         std = None if self._std is None else self._std[state]
-        return state + 1, Pose(sample.time_s, m.R_parent_joint[state], m.p_world_root[state], std)
+        pose = Pose(
+            sample.time_s, m.R_parent_joint[state], m.p_world_root[state], std, "", self._covariance
+        )
+        return state + 1, pose
 
 
 def figures(
@@ -103,6 +115,7 @@ def dip_clip(job: tuple[str, Motion, str | None]) -> list[dict[str, Any]]:
 def imuposer_clip(job: tuple[str, Motion, str | None]) -> list[dict[str, Any]]:
     """Every combination of devices on one clip."""
     import hybrid
+    from learned import checkpoint
     from learned.features import COMBINATIONS
     from learned.refine import AdamEstimator
     from poser.estimators import make
@@ -111,20 +124,22 @@ def imuposer_clip(job: tuple[str, Motion, str | None]) -> list[dict[str, Any]]:
     whole = synthesis.recording(motion, sensors.FIVE, synthesis.NOISES["realistic"], seed_of(name))
     mean = shipped().mean
     out = []
-    for combination in COMBINATIONS:
-        worn = tuple(sensors.FIVE[k] for k in combination)
+    chosen = Path(weights) if weights else None
+    model = checkpoint.load(chosen or checkpoint.shipped("imuposer"), "imuposer")
+    covariances = [c.double().numpy() for c in model.error_covariance]
+    for k, combination in enumerate(COMBINATIONS):
+        worn = tuple(sensors.FIVE[place] for place in combination)
         recording = whole.select(worn)
         label = {"clip": name, "devices": list(worn)}
         joints = tuple(sensors.lookup(n).joint for n in worn)
         still = noskill.mean_pose(recording, mean)
         out.append(label | {"method": "mean-pose"} | figures(still, motion, recording, None))
-        chosen = Path(weights) if weights else None
         estimator = make("imuposer", IMUPOSER_HZ, worn, weights=chosen)
         run = replay(estimator, recording)
         found = figures(run.motion, motion, recording, 1e3 * run.frame_s)
         out.append(label | {"method": "imuposer"} | found)
         for method in ("imuposer-adam", "hybrid"):
-            network = Playback(run.motion, run.std_rad, worn)
+            network = Playback(run.motion, run.std_rad, covariances[k], worn)
             refined: Any = (
                 hybrid.Tracker(network) if method == "hybrid" else AdamEstimator(network, joints)
             )
@@ -206,7 +221,9 @@ def main() -> None:
     parser.add_argument("--split", default="test", choices=("validation", "test"))
     parser.add_argument("--part", default="dip,imuposer")
     parser.add_argument("--weights", help="other weights than the shipped ones (one part alone)")
-    parser.add_argument("--seconds", type=float, default=15.0, help="of each clip; imuposer: at most 3")
+    parser.add_argument(
+        "--seconds", type=float, default=15.0, help="of each clip; imuposer: at most 3"
+    )
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("-o", "--output", type=Path)
     args = parser.parse_args()
