@@ -139,6 +139,9 @@ class Tracker:
         if pose.note:
             counts[NETWORK_NOTE] += 1
         sample = intake.sample_at(state.samples, pose.time_s, 0.5 / self.rate_hz)
+        if self.settings.translation and np.isfinite(state.root.p).all():
+            # Whatever happens to this frame, the root stays where its path has led.
+            pose = replace(pose, p_world_root=np.array(state.root.p))
         if sample is None:
             return state, pose, NO_SAMPLE
         before, period = state.refined_s, 1 / self.rate_hz

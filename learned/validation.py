@@ -54,7 +54,7 @@ class Windowed:
 def held(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
     """R_world_bone and acc_world with invalid samples replaced by the last valid ones.
 
-    Before a sensor's first valid sample: identity and zero.
+    Before a sensor's first valid sample: that one; identity and zero for a sensor that has none.
     """
     T, S = recording.valid.shape
     R = np.array(recording.R_world_bone)
@@ -65,6 +65,7 @@ def held(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
     ):
         index = np.where(ok, np.arange(T)[:, None], -1)
         index = np.maximum.accumulate(index, axis=0)
+        index = np.where((index < 0) & ok.any(axis=0), ok.argmax(axis=0), index)
         taken = values[np.maximum(index, 0), np.arange(S)]
         values[...] = np.where((index < 0).reshape(T, S, *[1] * (values.ndim - 2)), empty, taken)
     return R, acc

@@ -230,8 +230,9 @@ def run_many(
                 keep(done[i])  # type: ignore[arg-type]
                 tell(count / len(jobs), f"{jobs[i].name}: done, {count} of {len(jobs)}")
         except BaseException:
+            running = list((pool._processes or {}).values())  # shutdown forgets them
             pool.shutdown(wait=False, cancel_futures=True)
-            for process in list((pool._processes or {}).values()):
+            for process in running:
                 process.terminate()
             raise
     return [d for d in done if d is not None]

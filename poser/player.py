@@ -33,8 +33,8 @@ def section(recordings: Sequence[Compared]) -> str:
     left = len(recordings) - len(shown)
     note = f"<p>{left} further recordings are in the motion files alone.</p>" if left else ""
     data = {"parents": list(PARENTS), "colours": _colours(), "recordings": shown}
-    # "</" must not end the script element whatever a recording is called.
-    text = json.dumps(data, separators=(",", ":")).replace("</", "<\\/")
+    # No "<" of a recording's name may begin a tag or a comment inside the script element.
+    text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
     return (
         f"{_CONTROLS}{note}"
         f'<script type="application/json" id="player-data">{text}</script>\n<script>{_SCRIPT}</script>'

@@ -25,13 +25,15 @@ class DipState:
     """The window, oldest first: rows (T,W) float32 of `learned.runtime` (of a normalisation that depends on
     the window: the sensors as measured); of the frames still to be answered for and the future ones,
     R_world_root (future+1,3,3) and lost (future+1,S). had: frames since the start, since: frames since the
-    start or the last jump of the clock; neither counts beyond the window's length."""
+    start or the last jump of the clock; neither counts beyond the window's length. ready: every sensor has
+    been seen."""
 
     rows: NDArray[np.float32]
     R_world_root: Array
     lost: NDArray[np.bool_]
     had: int
     since: int
+    ready: bool
 
 
 class DipWindow:
@@ -89,15 +91,24 @@ class DipWindow:
             row = self._rows(row).numpy()
         root, lost = R[None, 5], ~present[None]
         T = self.past + 1 + self.future
+        late, ready = self.future + 1, bool(present.all())
         if state is None:
-            late = self.future + 1
-            return DipState(row.repeat(T, 0), root.repeat(late, 0), lost.repeat(late, 0), 1, 1)
+            return DipState(
+                row.repeat(T, 0), root.repeat(late, 0), lost.repeat(late, 0), 1, 1, ready
+            )
+        if not state.ready:
+            # Frames before a sensor's first value hold that value, as frames before the start do: the
+            # network never saw a sensor that stands for nothing.
+            lost = np.concatenate([state.lost[1:], lost])
+            had = min(state.had + 1, T)
+            return DipState(row.repeat(T, 0), root.repeat(late, 0), lost, had, T, ready)
         return DipState(
             np.concatenate([state.rows[1:], row]),
             np.concatenate([state.R_world_root[1:], root]),
             np.concatenate([state.lost[1:], lost]),
             min(state.had + 1, T),
             1 if jumped else min(state.since + 1, T),
+            True,
         )
 
     def _rows(self, samples: NDArray[np.float32]) -> Tensor:

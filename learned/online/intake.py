@@ -62,7 +62,7 @@ def take(before: Held | None, sample: Sample, rate_hz: float) -> Held:
             np.zeros((S, 3)), np.full(S, -np.inf), False,
         )  # fmt: skip
     dt = sample.time_s - before.stamp_s
-    jumped = bool(dt > GAP_S)
+    jumped = bool(abs(dt) > GAP_S)
     if not 0 < dt <= GAP_S:  # NaN too
         dt = 1 / rate_hz
     now = before.time_s + dt

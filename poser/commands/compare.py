@@ -23,6 +23,11 @@ if TYPE_CHECKING:
     from poser.results import Compared
 
 HELP = "several methods on the same recordings, with a report"
+WRITTEN = (
+    "sop", "sip", "dip", "imuposer", "imuposer-adam", "hybrid-dip", "hybrid-imuposer", "mean-pose",
+    "nearest-pose", "reference",
+)  # fmt: skip
+"""Stems of the motion files."""
 
 
 def _methods(text: str) -> tuple[str, ...]:
@@ -84,6 +89,7 @@ def run(args: Namespace) -> int:
     files.make_folder(args.output)
     jobs = _jobs(args)
     where = comparison.check_paths(args.output, [j.name for j in jobs])
+    _check_inputs(args, [folder / f"{m}.npz" for folder in where.values() for m in WRITTEN])
 
     def keep(compared: Compared) -> None:
         folder = where[compared.name]
@@ -105,6 +111,17 @@ def run(args: Namespace) -> int:
     table(*results.rows(record["mean"]))
     say(f"{args.output / 'report.html'}: the report; results.json has all figures")
     return DONE
+
+
+def _check_inputs(args: Namespace, outputs: list[Path]) -> None:
+    """None of the files to be written may be one that is read."""
+    inputs = [*args.recordings]
+    if args.reference not in (None, "sip-all"):
+        inputs.append(Path(args.reference))
+    for path in outputs:
+        for source in inputs:
+            if path.exists() and path.samefile(source):
+                raise UsageError(f"{path}: is an input and would be overwritten; choose another -o")
 
 
 def _jobs(args: Namespace) -> list[Job]:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from poser import files, options
-from poser.console import DONE, emit, json_text, part, progress, say, table
+from poser.console import DONE, Progress, emit, json_text, part, progress, say, table
 
 if TYPE_CHECKING:
     from mocap.motion import Motion
@@ -51,7 +51,7 @@ def run(args: Namespace) -> int:
         recording = synthesis.recording(motion, worn, synthesis.NOISES["realistic"], rng)
         files.write(args.output / f"{NAME}.npz", recording)
         job = comparison.Job(NAME, recording, comparison.METHODS, sensors.SIX, DEVICES)
-        compared = comparison.run(job, part(tell, 0.02, 0.9))
+        compared = comparison.run(job, _told(part(tell, 0.02, 0.9)))
         tell(0.9, "pictures and report")
         files.write(args.output / "reference.npz", compared.truth)
         for name, result in compared.methods.items():
@@ -72,6 +72,22 @@ def run(args: Namespace) -> int:
         f"{args.output / 'report.html'} has the pictures, {args.output / 'results.json'} all figures"
     )
     return DONE
+
+
+def _told(tell: Progress) -> Progress:
+    """Where there is no terminal for a bar: a line on stderr for each method as it begins."""
+    import sys
+
+    begun: set[str] = set()
+
+    def report(fraction: float, text: str) -> None:
+        method = text.split(":")[0]
+        if method not in begun and not sys.stderr.isatty():
+            begun.add(method)
+            print(f"poser demo: {method}", file=sys.stderr, flush=True)
+        tell(fraction, text)
+
+    return report
 
 
 def _picture(path: Path, truth: Motion, compared: Compared) -> None:

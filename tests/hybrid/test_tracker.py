@@ -391,3 +391,14 @@ def test_settings_and_places_are_checked(truth: Motion) -> None:
     with pytest.raises(SensorError, match="given for 1 sensors"):
         Tracker(FakeNetwork(truth, names=("nose",)), joint=np.zeros(2, int), seat=np.zeros((1, 3)))
     Tracker(FakeNetwork(truth, names=("nose",)), joint=np.array([15]), seat=np.zeros((1, 3)))
+
+
+def test_the_root_stays_where_it_is_in_a_frame_that_falls_back(truth: Motion) -> None:
+    recording = synthesis.recording(truth, places.SIX)
+    rows = list(samples(recording))
+    later = [replace(s, time_s=s.time_s + 2.0) for s in rows[60:]]
+    network = FakeNetwork(truth, names=places.SIX, look_ahead=0)
+    poses, _ = feed(Tracker(network), rows[:60] + later)
+    assert any(tracker.TIME_GAP in p.note for p in poses)
+    p = np.stack([q.p_world_root for q in poses])
+    assert np.linalg.norm(np.diff(p, axis=0), axis=1).max() < 0.15

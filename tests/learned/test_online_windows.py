@@ -237,3 +237,23 @@ def test_places_that_are_none() -> None:
         ImuposerWindow(model("imuposer"), ("left_shank",))
     with pytest.raises(PoserError, match="one place"):
         ImuposerWindow(model("imuposer"), ("left_wrist", "left_forearm"), (0, 0))
+
+
+@torch.inference_mode()
+def test_dip_starts_from_the_first_values_of_sensors_that_are_late() -> None:
+    """The first frames of a recording have no valid sample: they are answered for by the first that has."""
+    net = model("dip")
+    rec = recording(60.0, places.SIX, "none", 1.0).turned(2.0)
+    valid = np.array(rec.valid)
+    valid[:3] = False
+    late = replace(rec, valid=valid)
+    exact = Online(DipWindow(net, (20, 5), runtime=prepare(net, reach=EVERY)), 60.0)
+    poses = stream(exact, late)
+    w = cut([late], 20, 5)
+    out = net(net.inputs(w.R_world_bone, w.acc_world)[0])
+    at = Gaussian(
+        *(v[:, w.emit] for v in (out.pose, out.pose_deviation, out.acc, out.acc_deviation))
+    )
+    batch = net.pose(at, w.R_world_bone[:, w.emit, 5])
+    assert far(poses, batch.numpy()) < 1e-5
+    assert np.abs(poses[0].R_parent_joint[0] - rec.R_world_bone[3, 5]).max() < 1e-5

@@ -54,8 +54,9 @@ def test_lost_samples_hold_the_last_valid_one() -> None:
     R, acc = val.held(rec)
     np.testing.assert_array_equal(R[10:15, 2], np.repeat(rec.R_world_bone[9:10, 2], 5, axis=0))
     np.testing.assert_array_equal(acc[10:15, 2], np.repeat(rec.acc_world[9:10, 2], 5, axis=0))
-    np.testing.assert_array_equal(R[:4, 1], np.tile(np.eye(3), (4, 1, 1)))
-    np.testing.assert_array_equal(acc[:4, 1], 0)
+    # Before a sensor's first value: that value.
+    np.testing.assert_array_equal(R[:4, 1], np.repeat(rec.R_world_bone[4:5, 1], 4, axis=0))
+    np.testing.assert_array_equal(acc[:4, 1], np.repeat(rec.acc_world[4:5, 1], 4, axis=0))
     assert np.isfinite(R).all() and np.isfinite(acc).all()
 
 

@@ -183,6 +183,9 @@ def test_refusals(
     two = (walk, recordings / "squat.npz")
     status, said = refusal("compare", *two, *out, *FAST, "--reference", walk)
     assert status == 2 and "several" in said
+    NATIVE.write(tmp_path / "sip.npz", formats.read(walk).content)  # type: ignore[misc]
+    status, said = refusal("compare", tmp_path / "sip.npz", "-o", tmp_path, *FAST)
+    assert status == 2 and "overwritten" in said
     status, said = refusal("compare", walk, *out, *FAST, "--jobs", "0")
     assert status == 2 and "--jobs" in said
 
