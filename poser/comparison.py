@@ -113,8 +113,11 @@ def devices_of(recording: Recording) -> tuple[str, ...]:
         found = tuple(stand_in(n, recording.sensors) for n in wanted)
         if all(found):
             return tuple(f for f in found if f)
-    have = [stand_in(n, recording.sensors) for n in places.FIVE]
-    return tuple(h for h in have if h)[:3]
+    have = {n: s for n in places.FIVE if (s := stand_in(n, recording.sensors))}
+    names = list(have)[:3]
+    if names == ["left_pocket", "right_pocket", "head"]:  # not among IMUPoser's combinations
+        names = ["left_pocket", "head"]
+    return tuple(have[n] for n in names)
 
 
 # -- reference ------------------------------------------------------------------------------------
@@ -147,10 +150,16 @@ def _method(
         figures = record(solution)
         figures["frame_ms_mean"] = 1e3 * solution.seconds / len(solution.motion)
         return _result(job, solution.motion, reference, seen, figures)
-    from poser import tracking
+    from poser import estimators, tracking
 
     if NETWORK[name] == "imuposer":
-        seen = job.devices or devices_of(job.recording)
+        those = job.recording.select(job.sensors) if job.sensors else job.recording
+        seen = job.devices or devices_of(those)
+    # What the network reads of them, in its own order: what it does not read it has not seen.
+    found = estimators.used(NETWORK[name], seen)
+    if NETWORK[name] == "imuposer":
+        estimators.check_devices(found)
+    seen = tuple(found.values())
     tracked = tracking.track(
         job.recording.select(seen), "hybrid" if name.startswith("hybrid") else name, NETWORK[name],
         progress=tell,

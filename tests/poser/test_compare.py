@@ -150,6 +150,22 @@ def test_a_recording_that_does_not_serve_a_method_is_compared_by_the_others(
     assert set(record["mean"]) == {"sop", "sip", "mean-pose", "nearest-pose"}
 
 
+def test_methods_see_what_they_read_and_no_more() -> None:
+    suit = synthesis.recording(short("walk"), (*sensors.SUIT, *sensors.FIVE[2:4]), None, 0)
+    job = comparison.Job("suit", suit, ("dip", "imuposer"), suit.sensors, no_skill=False)
+    found = comparison.run(job).methods
+    assert found["dip"].figures["used_sensors"] == list(sensors.SIX)
+    assert found["dip"].metrics.left_out_deg is not None
+    names = ["left_forearm", "right_pocket", "head"]
+    assert found["imuposer"].figures["used_sensors"] == names
+    two = comparison.Job("two", suit, ("imuposer",), ("head", "pelvis"), no_skill=False)
+    assert comparison.run(two).methods["imuposer"].figures["used_sensors"] == ["head"]
+    pockets = suit.select(("left_pocket", "right_pocket", "head"))
+    assert comparison.devices_of(pockets) == ("left_pocket", "head")
+    with pytest.raises(PoserError, match="both pockets"):
+        comparison.run(comparison.Job("x", suit, ("imuposer",), None, pockets.sensors))
+
+
 def test_solve_starts_from_a_network(recordings: Path, tmp_path: Path) -> None:
     rec = str(recordings / "walk.npz")
     solved = {}
