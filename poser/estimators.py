@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mocap import sensors as places
 from mocap.errors import PoserError, SensorError
 
 if TYPE_CHECKING:
@@ -20,6 +19,8 @@ MOST_DEVICES = 3  # that IMUPoser is trained on at a time
 
 def stand_in(place: str, sensors: Sequence[str]) -> str | None:
     """The sensor that serves for `place`: itself, or another on the same bone (left_forearm: left_wrist)."""
+    from mocap import sensors as places
+
     if place in sensors:
         return place
     joint = places.lookup(place).joint
@@ -48,6 +49,8 @@ def used(network: str, sensors: Sequence[str]) -> dict[str, str]:
 
     DIP needs all of `six`; IMUPoser takes what there is of `five`. Raises SensorError naming what is missing.
     """
+    from mocap import sensors as places
+
     wanted = places.SIX if network == "dip" else places.FIVE
     found = {p: s for p in wanted if (s := stand_in(p, sensors)) is not None}
     missing = [p for p in wanted if p not in found]
@@ -96,6 +99,7 @@ def make(
         raise PoserError("a window can be chosen for dip alone; imuposer's is 125 frames")
     from learned import checkpoint, online, runtime
     from learned.models import Dip, Imuposer
+    from mocap import sensors as places
 
     runtime.one_thread()
     model = checkpoint.load(weights or checkpoint.shipped(which), which)

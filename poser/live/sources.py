@@ -101,7 +101,8 @@ class Replay:
         while self._next is not None and self._lag(self._next.time_s) > -SOON_S:
             self._take(due)
         if self._next is not None and not due:
-            self._sleep(min(IDLE_S, -self._lag(self._next.time_s)))
+            # The time may have come while we looked.
+            self._sleep(max(0.0, min(IDLE_S, -self._lag(self._next.time_s))))
         return due
 
     def _take(self, due: list[Sample]) -> None:

@@ -12,6 +12,7 @@ import pytest
 
 from mocap import metrics
 from mocap.formats import amass, bvh, native
+from poser import comparison
 from poser.__main__ import main
 
 Answer = Callable[..., Any]
@@ -274,12 +275,12 @@ def test_evaluate_refuses(folder: Path, refusal: Refusal) -> None:
 def test_demo(tmp_path: Path, answer: Answer) -> None:
     found = answer("demo", "-o", tmp_path / "d", "--seconds", "3")
     assert found["schema"] == "poser-compare/1"
-    methods = {"sop", "sip", "mean-pose", "nearest-pose"}
+    methods = {*comparison.METHODS, "mean-pose", "nearest-pose"}
     assert set(found["mean"]) == set(found["recordings"][0]["methods"]) == methods
     assert found == json.loads((tmp_path / "d" / "results.json").read_text())
     for name in (*methods, "reference"):
         assert len(amass.read_motion(tmp_path / "d" / f"{name}.npz")) == 180
     page = (tmp_path / "d" / "report.html").read_text()
-    assert page.count("data:image/png;base64,") == 3
+    assert page.count("data:image/png;base64,") == 4
     assert "http://" not in page and "https://" not in page
     assert (tmp_path / "d" / "poses.png").read_bytes().startswith(b"\x89PNG")
