@@ -237,7 +237,7 @@ def main() -> None:
         work = dip_clip if part == "dip" else imuposer_clip
         began = time.monotonic()
         results: list[dict[str, Any]] = []
-        with ProcessPoolExecutor(args.jobs, initializer=_one_thread) as pool:
+        with ProcessPoolExecutor(args.jobs) as pool:
             for i, found in enumerate(pool.map(work, [(*c, args.weights) for c in clips])):
                 results += found
                 print(f"\r{part} {i + 1}/{len(clips)}   ", end="", file=sys.stderr)
@@ -270,12 +270,6 @@ def _over_devices(results: list[dict[str, Any]]) -> list[dict[str, Any]]:
                 | {k: np.mean([r[k] for r in part]) for k in PAIRED}
             )
     return out
-
-
-def _one_thread() -> None:
-    import torch
-
-    torch.set_num_threads(1)
 
 
 if __name__ == "__main__":

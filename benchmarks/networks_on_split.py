@@ -9,7 +9,6 @@ import numpy as np
 import torch
 
 from learned import validation
-from learned.features import imuposer_input, imuposer_pose
 from learned.models import Dip, Imuposer, Model
 from learned.networks.dip import Gaussian
 from mocap import Motion, Recording, dataset, metrics
@@ -64,19 +63,11 @@ def imuposer_motions(
 ) -> list[Motion]:
     """IMUPoser's motion of each recording, online: each frame the last of its 125."""
     assert isinstance(model, Imuposer)
-    worn = torch.zeros(5, dtype=torch.bool)
-    worn[list(combination)] = True
     out = []
     with torch.inference_mode():
         for r in recordings:
             windows = validation.cut([r], *validation.SEEN["imuposer"], stride)
-            poses = []
-            for i in range(0, len(windows.clip), validation.CHUNK):
-                part = slice(i, i + validation.CHUNK)
-                R, acc = windows.R_world_bone[part], windows.acc_world[part]
-                y = model(imuposer_input(R, acc, worn.expand(len(R), 5)))
-                poses.append(imuposer_pose(y[:, windows.emit]))
-            out.append(_motion(r, torch.cat(poses), stride))
+            out.append(_motion(r, validation.imuposer_poses(model, windows, combination), stride))
     return out
 
 

@@ -70,7 +70,7 @@ def main() -> None:
             solved["sip+calibr."] = (own.motion, own.seconds)
             for name, network in ONLINE:
                 seen = sensors.SIX if network == "dip" else DEVICES
-                run = tracking.track(piece.select(seen), name.split("-")[0], network)
+                run = tracking.track(piece.select(seen), name.split("-")[0], network).run
                 solved[name] = (run.motion, float(run.frame_s.sum()))
             for name, (motion, seconds) in solved.items():
                 seen = DEVICES if "imuposer" in name else sensors.SIX

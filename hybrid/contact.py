@@ -16,9 +16,9 @@ import numpy as np
 
 from mocap import orientation as ori
 from mocap.orientation import Array
-from mocap.skeleton import SOLE_BELOW_TOE, TABLE_STATURE, Skeleton
+from mocap.skeleton import TOES, Skeleton
 
-LEGS = ((1, 2), (4, 5), (7, 8), (10, 11))  # left and right: hip, knee, ankle, toe
+LEGS = ((1, 2), (4, 5), (7, 8), TOES)  # left and right: hip, knee, ankle, toe
 
 
 @dataclass(frozen=True)
@@ -73,8 +73,7 @@ class Contact:
     def __init__(self, skeleton: Skeleton, noise: ContactNoise | None = None) -> None:
         self.noise = noise or ContactNoise()
         rest = skeleton.rest_positions
-        under = SOLE_BELOW_TOE * skeleton.stature / TABLE_STATURE
-        floor = rest[[10, 11], 1].min() - under
+        floor = rest[list(TOES), 1].min() - skeleton.sole
         self._offsets = skeleton.offsets
         # The sole is flat in the rest pose: each point lies straight under its joint.
         self._under = np.zeros((2, 2, 3))

@@ -17,11 +17,9 @@ import torch
 from torch import Tensor
 
 from learned.kinematics import from_6d, rot_y, to_6d
+from mocap.metrics import DIP_JOINTS
 
 Normalisation = Literal["root", "first", "heading"]
-
-DIP_JOINTS = (1, 2, 3, 4, 5, 6, 9, 12, 13, 14, 15, 16, 17, 18, 19)
-"""Joints whose local rotations DIP predicts (design, networks.md); the others are identity."""
 
 DEVIATION_FLOOR = 1e-4
 """Least standard deviation of the scaler: a constant channel must not blow up."""

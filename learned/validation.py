@@ -19,18 +19,16 @@ from learned import losses
 from learned.corpus import prepared
 from learned.features import COMBINATIONS, DIP_JOINTS, dip_target, imuposer_input, imuposer_pose
 from learned.models import RATES, Dip, Model
-from learned.networks.dip import Gaussian
 from mocap import orientation as ori
 from mocap import sensors as places
 from mocap import synthesis
 from mocap.errors import PoserError
-from mocap.metrics import MASKED
+from mocap.metrics import MASKED, SIP_JOINTS
 from mocap.motion import Motion
 from mocap.recording import Recording
 from mocap.skeleton import MIRROR, Skeleton
 from mocap.synthesis import Noise
 
-HIPS_SHOULDERS = (1, 2, 16, 17)
 SEEN = {"dip": (20, 5), "imuposer": (124, 0)}  # past and future frames that the online runner shows
 MOST_WINDOWS = {"dip": 1500, "imuposer": 360}  # of a validation set: seconds of work on a CPU
 LONGEST_S = 15.0
@@ -142,9 +140,7 @@ def predict(model: Model, windows: Windowed, reconstruct_acc: bool = True) -> tu
                 out = model(x)
                 target = model.output_scaler.scale(dip_target(truth))
                 total += len(R) * float(losses.dip(out, target, target_acc, reconstruct_acc))
-                at = Gaussian(*(v[:, t] for v in (
-                    out.pose, out.pose_deviation, out.acc, out.acc_deviation)))  # fmt: skip
-                poses.append(model.pose(at, R[:, t, 5]))
+                poses.append(model.pose(out.at(t), R[:, t, 5]))
             else:
                 worn = worn_in_turn(i, len(R))
                 y = model(imuposer_input(R, acc, worn))
@@ -171,7 +167,7 @@ def figures(poses: Tensor, windows: Windowed) -> dict[str, float]:
     root = torch.zeros(3)
     gap = (kin.positions(Ra, root, offsets) - kin.positions(Rb, root, offsets)).norm(dim=-1)
     out = {
-        "sip_deg": angle[:, list(HIPS_SHOULDERS)].mean(-1),
+        "sip_deg": angle[:, list(SIP_JOINTS)].mean(-1),
         "angular_deg": angle.mean(-1),
         "position_cm": 100 * gap.mean(-1),
     }
@@ -198,9 +194,8 @@ def score(model: Model, windows: Windowed, reconstruct_acc: bool = True) -> dict
 
 
 SHRINK = 0.1  # of a covariance towards its diagonal: it is estimated from few clips
-LEAST_RAD = float(
-    np.deg2rad(1.0)
-)  # joints that the network holds fixed have errors too small to invert
+# Joints that the network holds fixed have errors too small to invert.
+LEAST_RAD = float(np.deg2rad(1.0))
 _MIRRORED = (1, 0, 3, 2, 4)  # places of `five` with left and right exchanged
 
 
@@ -229,7 +224,7 @@ def calibrate_deviations(model: Model, windows: Windowed) -> None:
             return
         each = [
             (covariance(e, weight), covariance(mirrored(e), weight))
-            for e in (_imuposer_errors(model, windows, c) for c in COMBINATIONS)
+            for e in (_errors(imuposer_poses(model, windows, c), windows) for c in COMBINATIONS)
         ]
         for k, combination in enumerate(COMBINATIONS):
             twin = COMBINATIONS.index(tuple(sorted(_MIRRORED[p] for p in combination)))
@@ -269,17 +264,15 @@ def _dip_errors(model: Dip, windows: Windowed) -> tuple[Tensor, Tensor]:
         part = slice(i, i + CHUNK)
         R, acc = windows.R_world_bone[part], windows.acc_world[part]
         out = model(model.inputs(R, acc)[0])
-        at = Gaussian(*(v[:, t] for v in (
-            out.pose, out.pose_deviation, out.acc, out.acc_deviation)))  # fmt: skip
+        at = out.at(t)
         pose = model.pose(at, R[:, t, 5])
         poses.append(pose)
         spread.append(model.pose_deviation(at, pose))
-    truth = windows.R_parent_joint[:, t].double()
-    return _log(torch.cat(poses).double().mT @ truth), torch.cat(spread).double()
+    return _errors(torch.cat(poses), windows), torch.cat(spread).double()
 
 
-def _imuposer_errors(model: Model, windows: Windowed, combination: tuple[int, ...]) -> Tensor:
-    """Errors (N,24,3) rad with these devices worn."""
+def imuposer_poses(model: Model, windows: Windowed, combination: Sequence[int]) -> Tensor:
+    """Local rotations (N,24,3,3) of the emitted frames with these devices worn."""
     worn = torch.zeros(5, dtype=torch.bool)
     worn[list(combination)] = True
     poses = []
@@ -287,9 +280,10 @@ def _imuposer_errors(model: Model, windows: Windowed, combination: tuple[int, ..
         R, acc = windows.R_world_bone[i : i + CHUNK], windows.acc_world[i : i + CHUNK]
         x = imuposer_input(R, acc, worn.expand(len(R), 5))
         poses.append(imuposer_pose(model(x)[:, windows.emit]))
+    return torch.cat(poses)
+
+
+def _errors(poses: Tensor, windows: Windowed) -> Tensor:
+    """Log(R_estimated^T R_true) (N,24,3) rad of the emitted frames."""
     truth = windows.R_parent_joint[:, windows.emit].double()
-    return _log(torch.cat(poses).double().mT @ truth)
-
-
-def _log(R: Tensor) -> Tensor:
-    return torch.as_tensor(ori.log(R.numpy()))
+    return torch.as_tensor(ori.log((poses.double().mT @ truth).numpy()))

@@ -64,10 +64,11 @@ REST: Array = np.array(
 # Stature of that body: the joints span 1.496 m from the lowest toe joint to the head joint. The head
 # joint sits at the skull's base, about 0.19 m under the vertex, the toe joint about 0.02 m over the
 # sole (both read off anthropometric tables for this stature; they only set the scale of `height`).
+TOES = (10, 11)
 HEAD_ABOVE_JOINT = 0.19
 SOLE_BELOW_TOE = 0.02
 TABLE_STATURE: float = float(
-    REST[15, 1] - REST[[10, 11], 1].min() + HEAD_ABOVE_JOINT + SOLE_BELOW_TOE
+    REST[15, 1] - REST[list(TOES), 1].min() + HEAD_ABOVE_JOINT + SOLE_BELOW_TOE
 )
 STATURE_RANGE = (0.5, 2.6)  # m; outside, a height is taken for a mistake of unit
 
@@ -132,9 +133,20 @@ class Skeleton:
     def stature(self) -> float:
         """Standing height in m: toe-to-head-joint span of the rest pose plus head and sole, scaled."""
         rest = self.rest_positions
-        span = rest[15, 1] - rest[[10, 11], 1].min()
+        span = rest[15, 1] - rest[list(TOES), 1].min()
         table = TABLE_STATURE - HEAD_ABOVE_JOINT - SOLE_BELOW_TOE
         return float(span * TABLE_STATURE / table)
+
+    @property
+    def sole(self) -> float:
+        """How far the sole is under the toe joint, m: `SOLE_BELOW_TOE`, scaled with the stature."""
+        return SOLE_BELOW_TOE * self.stature / TABLE_STATURE
+
+    @property
+    def standing_height(self) -> float:
+        """Height in m of the pelvis joint over the floor in the rest pose."""
+        rest = self.rest_positions
+        return float(rest[0, 1] - rest[list(TOES), 1].min() + self.sole)
 
     @cached_property
     def rest_positions(self) -> Array:

@@ -18,6 +18,7 @@ from mocap.motion import Motion
 from mocap.recording import Recording
 from mocap.skeleton import Skeleton
 from poser.console import Progress, part
+from poser.estimators import check_devices, network_of, stand_in, used
 from poser.results import Compared, Result
 
 if TYPE_CHECKING:
@@ -26,8 +27,7 @@ if TYPE_CHECKING:
 METHODS = ("sop", "sip", "dip", "imuposer", "imuposer-adam", "hybrid-dip", "hybrid-imuposer")
 ALIASES = {"hybrid": "hybrid-dip"}
 SOLVED = ("sop", "sip")
-NETWORK = {"dip": "dip", "imuposer": "imuposer", "imuposer-adam": "imuposer",
-           "hybrid-dip": "dip", "hybrid-imuposer": "imuposer"}  # fmt: skip
+NETWORK = {m: network_of(m) for m in METHODS if m not in SOLVED}
 # What IMUPoser sees where nothing is said: a watch on each wrist and earphones where the recording has no
 # pocket, otherwise a watch, a phone and earphones.
 _EVERYDAY = (("left_wrist", "right_pocket", "head"), ("left_wrist", "right_wrist", "head"))
@@ -70,8 +70,6 @@ def canonical(names: Sequence[str]) -> tuple[str, ...]:
 
 def possible(recording: Recording, sensors: tuple[str, ...] | None = None) -> tuple[str, ...]:
     """The methods that can read the recording: DIP needs the six places, IMUPoser one of its five."""
-    from poser.estimators import stand_in
-
     seen = sensors or six_of(recording)
     six = all(stand_in(n, seen) for n in places.SIX)
     five = bool(devices_of(recording))
@@ -107,8 +105,6 @@ def devices_of(recording: Recording) -> tuple[str, ...]:
     """What IMUPoser sees where nothing is said: a watch, a phone in a pocket and earphones, else two
     watches and earphones, of the places (or sensors on the same bones) that the recording has; else
     whatever it has of IMUPoser's five places, at most three."""
-    from poser.estimators import stand_in
-
     for wanted in _EVERYDAY:
         found = tuple(stand_in(n, recording.sensors) for n in wanted)
         if all(found):
@@ -150,21 +146,21 @@ def _method(
         figures = record(solution)
         figures["frame_ms_mean"] = 1e3 * solution.seconds / len(solution.motion)
         return _result(job, solution.motion, reference, seen, figures)
-    from poser import estimators, tracking
+    from poser import tracking
 
     if NETWORK[name] == "imuposer":
         those = job.recording.select(job.sensors) if job.sensors else job.recording
         seen = job.devices or devices_of(those)
     # What the network reads of them, in its own order: what it does not read it has not seen.
-    found = estimators.used(NETWORK[name], seen)
+    found = used(NETWORK[name], seen)
     if NETWORK[name] == "imuposer":
-        estimators.check_devices(found)
+        check_devices(found)
     seen = tuple(found.values())
     tracked = tracking.track(
         job.recording.select(seen), "hybrid" if name.startswith("hybrid") else name, NETWORK[name],
         progress=tell,
     )  # fmt: skip
-    return _result(job, tracked.motion, reference, seen, tracked.record())
+    return _result(job, tracked.run.motion, reference, seen, tracked.record())
 
 
 def _solve(job: Job, recording: Recording, terms: Any, tell: Progress) -> Any:

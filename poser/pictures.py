@@ -17,9 +17,8 @@ from mocap.motion import Motion
 from mocap.orientation import Array
 from mocap.skeleton import JOINTS, PARENTS
 from mocap.solution import Solution
-from poser.results import COLOURS, NAMES, NO_SKILL
+from poser.results import COLOURS, MIDDLE, NAMES, NO_SKILL, joint_colour
 
-LEFT, RIGHT, MIDDLE = "#1f77b4", "#d95f02", "#444444"
 YAW, TILT = np.deg2rad(-35.0), np.deg2rad(12.0)  # the camera: to the body's left, a little above
 DPI = 110
 
@@ -108,8 +107,7 @@ def _bones(axis: Any, p: Array, ghost: bool = False) -> None:
     for j, parent in enumerate(PARENTS):
         if parent < 0:
             continue
-        side = LEFT if "left" in JOINTS[j] else RIGHT if "right" in JOINTS[j] else MIDDLE
-        colour, width = ("#cccccc", 3.5) if ghost else (side, 1.9)
+        colour, width = ("#cccccc", 3.5) if ghost else (joint_colour(JOINTS[j]), 1.9)
         axis.plot(*s[[parent, j]].T, color=colour, lw=width, solid_capstyle="round")
     head = s[15] + 0.5 * (s[15] - s[12])
     axis.plot(*head, "o", ms=11, color="#cccccc" if ghost else MIDDLE, mfc="none")
@@ -153,13 +151,7 @@ def errors(metrics: Mapping[str, Metrics]) -> Figure:
     return figure
 
 
-def joints(metrics: Mapping[str, Metrics]) -> Figure:
-    """Mean global angle of each joint, nothing masked."""
-    known = {n: m.joint_deg for n, m in metrics.items() if m.joint_deg is not None}
-    return joint_bars(known)
-
-
-def joint_bars(known: Mapping[str, Array]) -> Figure:
+def joints(known: Mapping[str, Array]) -> Figure:
     """Angles (24,) deg of each joint, one bar a method."""
     figure = Figure(figsize=(10, 3.6))
     axis = figure.subplots()

@@ -11,13 +11,12 @@ import numpy as np
 
 from mocap.motion import Motion
 from mocap.skeleton import JOINTS, PARENTS
-from poser.results import COLOURS, NAMES, NO_SKILL, Compared
+from poser.results import COLOURS, NAMES, NO_SKILL, Compared, joint_colour
 
 RATE_HZ = 30.0
 BUDGET_BYTES = (
     24_000_000  # of joint positions in a page; recordings beyond it are left out, and said so
 )
-LEFT, RIGHT, MIDDLE = "#1f77b4", "#d95f02", "#444444"
 
 
 def section(recordings: Sequence[Compared]) -> str:
@@ -32,7 +31,11 @@ def section(recordings: Sequence[Compared]) -> str:
         spent += size
     left = len(recordings) - len(shown)
     note = f"<p>{left} further recordings are in the motion files alone.</p>" if left else ""
-    data = {"parents": list(PARENTS), "colours": _colours(), "recordings": shown}
+    data = {
+        "parents": list(PARENTS),
+        "colours": [joint_colour(name) for name in JOINTS],
+        "recordings": shown,
+    }
     # No "<" of a recording's name may begin a tag or a comment inside the script element.
     text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
     return (
@@ -76,10 +79,6 @@ def _positions(motion: Motion, rate_hz: float, reference: Motion) -> dict[str, A
     p[..., 1] += height[np.minimum(np.arange(len(p)), len(height) - 1)][:, None]
     mm = np.clip(np.round(1000 * p), -32768, 32767).astype("<i2")
     return {"frames": len(p), "data": base64.b64encode(mm.tobytes()).decode("ascii")}
-
-
-def _colours() -> list[str]:
-    return [LEFT if "left" in n else RIGHT if "right" in n else MIDDLE for n in JOINTS]
 
 
 _CONTROLS = """<div id="player">

@@ -15,12 +15,12 @@ from mocap import orientation as ori
 from mocap.errors import PoserError
 from mocap.motion import Motion
 from mocap.orientation import Array
-from mocap.skeleton import SOLE_BELOW_TOE, TABLE_STATURE, Skeleton
+from mocap.skeleton import TABLE_STATURE, TOES, Skeleton
 
 ARM_DOWN = np.deg2rad(80.0)  # the N-pose of the design: upper arms 80 degrees below the T-pose
 COLLAR_SHARE = 0.2  # of an arm raised sideways, the part that the collar turns
 SPINE = (3, 6, 9)
-HIPS, KNEES, ANKLES, TOES = (1, 2), (4, 5), (7, 8), (10, 11)
+HIPS, KNEES, ANKLES = (1, 2), (4, 5), (7, 8)
 COLLARS, SHOULDERS, ELBOWS = (13, 14), (16, 17), (18, 19)
 SIDES = (1.0, -1.0)  # left, right: the sign that mirrors a rotation about y or z
 
@@ -86,7 +86,7 @@ def pose(score: Score, skeleton: Skeleton | None = None) -> Motion:
     scale = body.stature / TABLE_STATURE
     T = len(score.t)
     rest = body.rest_positions - body.rest_positions[0]
-    stand = np.array([0.0, SOLE_BELOW_TOE * scale - rest[list(TOES), 1].min(), 0.0])
+    stand = np.array([0.0, body.standing_height, 0.0])
     R = np.tile(np.eye(3), (T, 24, 1, 1))
     p_root = stand + scale * score.pelvis
     R[:, 0] = ori.exp(score.turn)

@@ -20,8 +20,14 @@ COLOURS = {
     "imuposer-adam": "#e08214", "hybrid-dip": "#053061", "hybrid-imuposer": "#7f3b08",
     "mean-pose": "#bbbbbb", "nearest-pose": "#888888",
 }  # fmt: skip
+LEFT, RIGHT, MIDDLE = "#1f77b4", "#d95f02", "#444444"
 NO_SKILL = ("mean-pose", "nearest-pose")
 """Methods that need no skill: the rows that every table is read against."""
+
+
+def joint_colour(joint: str) -> str:
+    """The colour of a body part by its joint's name: left, right or neither."""
+    return LEFT if "left" in joint else RIGHT if "right" in joint else MIDDLE
 
 
 @dataclass(frozen=True, eq=False)

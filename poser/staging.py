@@ -10,10 +10,9 @@ from mocap import orientation as ori
 from mocap.calibration import ARM_ANGLE_DEG, pose_bones
 from mocap.motion import Motion
 from mocap.orientation import Array
-from mocap.skeleton import SOLE_BELOW_TOE, TABLE_STATURE, Skeleton
+from mocap.skeleton import TOES
 from poser.posing import step
 
-TOES = (10, 11)
 BLEND_S = 1.0  # from the still pose to the motion's first frame
 
 
@@ -29,7 +28,7 @@ def on_the_floor(motion: Motion) -> Motion:
 def floor_of(motion: Motion, frame: int = 0) -> float:
     """Height in m of the floor under the lower foot of a frame."""
     toes = motion.p_world_joint[frame, list(TOES), 1]
-    return float(toes.min() - _sole(motion.skeleton))
+    return float(toes.min() - motion.skeleton.sole)
 
 
 def with_static_pose(motion: Motion, pose: str, seconds: float) -> Motion:
@@ -59,12 +58,6 @@ def _standing(motion: Motion, pose: str) -> tuple[Array, Array]:
     bones = pose_bones(np.arange(24), pose, ARM_ANGLE_DEG)
     R = body.local_rotations(bones)
     R[0] = ori.rot_y(float(ori.heading(motion.R_parent_joint[0, 0])))
-    rest = body.rest_positions
-    up = rest[0, 1] - rest[list(TOES), 1].min() + _sole(body)
     p = np.array(motion.p_world_root[0])
-    p[1] = floor_of(motion) + up
+    p[1] = floor_of(motion) + body.standing_height
     return R, p
-
-
-def _sole(body: Skeleton) -> float:
-    return SOLE_BELOW_TOE * body.stature / TABLE_STATURE

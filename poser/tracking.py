@@ -2,44 +2,45 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mocap.motion import Motion
-from mocap.recording import Recording
 from poser.console import Progress
+
+if TYPE_CHECKING:
+    from mocap.estimator import Replay
+    from mocap.recording import Recording
+    from mocap.skeleton import Skeleton
 
 
 @dataclass(frozen=True, eq=False)
 class Tracked:
-    """The motion and how the method did: frame_s (T,) seconds of each step, fallbacks by reason."""
+    """What a method made of a recording, and the sensors that it read."""
 
-    motion: Motion
+    run: Replay
     method: str
     network: str
-    frame_s: np.ndarray
     look_ahead_frames: int
-    notes: Counter[str]
-    std_rad: np.ndarray | None = None
+    sensors: tuple[str, ...]
 
     def record(self) -> dict[str, Any]:
-        """What `--json` and results.json say of it."""
-        ms = 1e3 * self.frame_s
+        """What `track --json` and results.json say of it. notes: fallbacks by reason."""
+        ms = 1e3 * self.run.frame_s
         return {
             "method": self.method,
             "network": self.network,
-            "frames": len(self.motion),
-            "rate_hz": self.motion.rate_hz,
+            "frames": len(self.run.motion),
+            "rate_hz": self.run.motion.rate_hz,
             "frame_ms_p50": float(np.percentile(ms, 50)),
             "frame_ms_p99": float(np.percentile(ms, 99)),
             "frame_ms_mean": float(ms.mean()),
-            "fallbacks": sum(self.notes.values()),
-            "fallback_reasons": dict(self.notes),
+            "fallbacks": self.run.fallbacks,
+            "notes": dict(self.run.notes),
             "look_ahead_frames": self.look_ahead_frames,
+            "used_sensors": list(self.sensors),
         }
 
 
@@ -50,30 +51,19 @@ def track(
     *,
     weights: Path | None = None,
     window: tuple[int, int] | None = None,
+    skeleton: Skeleton | None = None,
     progress: Progress = lambda fraction, words: None,
 ) -> Tracked:
     """Run dip, imuposer, imuposer-adam or hybrid over the recording, sample by sample.
 
-    Raises PoserError where the recording's sensors do not serve the method.
+    skeleton: the wearer's body. Raises PoserError where the recording's sensors do not serve the method.
     """
     from mocap.estimator import replay
     from poser.estimators import make
 
     estimator = make(
-        method,
-        recording.rate_hz,
-        recording.sensors,
-        network=network,
-        weights=weights,
-        window=window,
-    )
-    run = replay(estimator, recording, lambda share: progress(share, method))
-    return Tracked(
-        run.motion,
-        method,
-        network,
-        run.frame_s,
-        estimator.look_ahead_frames,
-        run.notes,
-        run.std_rad,
-    )
+        method, recording.rate_hz, recording.sensors,
+        network=network, weights=weights, window=window, skeleton=skeleton,
+    )  # fmt: skip
+    run = replay(estimator, recording, lambda share: progress(share, method), skeleton)
+    return Tracked(run, method, network, estimator.look_ahead_frames, estimator.sensors)

@@ -31,6 +31,12 @@ class Gaussian:
     acc: Tensor
     acc_deviation: Tensor
 
+    def at(self, t: int) -> Gaussian:
+        """Of frame t alone: (B,135) and (B,15)."""
+        return Gaussian(
+            self.pose[:, t], self.pose_deviation[:, t], self.acc[:, t], self.acc_deviation[:, t]
+        )
+
 
 class Heads(nn.Module):
     """Linear maps to the two means and, through softplus, the two standard deviations (Fig. 12)."""

@@ -15,9 +15,7 @@ from mocap.errors import ShapeError
 from mocap.estimator import Pose, Sample
 from mocap.motion import check_rate
 from mocap.orientation import Array
-from mocap.skeleton import SOLE_BELOW_TOE, TABLE_STATURE, Skeleton
-
-TOES = (10, 11)
+from mocap.skeleton import Skeleton
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,8 +157,6 @@ class Online:
 
 def standing(skeleton: Skeleton) -> Array:
     """(3,) m: the pelvis of the rest pose, above the origin, soles on the floor."""
-    rest = skeleton.rest_positions
-    sole = SOLE_BELOW_TOE * skeleton.stature / TABLE_STATURE
-    p: Array = np.array([0.0, rest[0, 1] - rest[list(TOES), 1].min() + sole, 0.0])
+    p: Array = np.array([0.0, skeleton.standing_height, 0.0])
     p.setflags(write=False)
     return p

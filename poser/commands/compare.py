@@ -23,11 +23,6 @@ if TYPE_CHECKING:
     from poser.results import Compared
 
 HELP = "several methods on the same recordings, with a report"
-WRITTEN = (
-    "sop", "sip", "dip", "imuposer", "imuposer-adam", "hybrid-dip", "hybrid-imuposer", "mean-pose",
-    "nearest-pose", "reference",
-)  # fmt: skip
-"""Stems of the motion files."""
 
 
 def _methods(text: str) -> tuple[str, ...]:
@@ -89,7 +84,8 @@ def run(args: Namespace) -> int:
     files.make_folder(args.output)
     jobs = _jobs(args)
     where = comparison.check_paths(args.output, [j.name for j in jobs])
-    _check_inputs(args, [folder / f"{m}.npz" for folder in where.values() for m in WRITTEN])
+    written = (*comparison.METHODS, *results.NO_SKILL, "reference")
+    _check_inputs(args, [folder / f"{name}.npz" for folder in where.values() for name in written])
 
     def keep(compared: Compared) -> None:
         folder = where[compared.name]
@@ -227,7 +223,7 @@ def write_report(
         shown.append((folder / "worst.png", caption))
     bars = _joint_means(found)
     if bars:
-        pictures.save(pictures.joint_bars(bars), folder / "joints.png")
+        pictures.save(pictures.joints(bars), folder / "joints.png")
         shown.append((folder / "joints.png", "Mean global angle of each joint, nothing masked."))
     if len(found) == 1:
         curves = {n: m.metrics for n, m in found[0].methods.items()}
@@ -276,6 +272,12 @@ def _joint_means(found: list[Compared]) -> dict[str, Any]:
     return out
 
 
+def noise_words(recording: Recording) -> str:
+    """The sizes of the noise that a recording was synthesised with."""
+    sigma = (recording.noise or {}).get("sigma", {})
+    return ", ".join(f"{k} {v:g}" for k, v in sigma.items())
+
+
 def _facts(args: Namespace, jobs: list[Job]) -> dict[str, str]:
     from poser import comparison
 
@@ -296,6 +298,5 @@ def _facts(args: Namespace, jobs: list[Job]) -> dict[str, str]:
             note(f"IMUPoser sees {devices}; --devices chooses others")
     facts["SOP and SIP"] = f"solver {args.solver}, default settings"
     if first.recording.noise:
-        sigma = first.recording.noise.get("sigma", {})
-        facts["Noise of the first, 1 sigma"] = ", ".join(f"{k} {v:g}" for k, v in sigma.items())
+        facts["Noise of the first, 1 sigma"] = noise_words(first.recording)
     return facts

@@ -102,13 +102,13 @@ def _picture(path: Path, truth: Motion, compared: Compared) -> None:
 
 def _facts(recording: Recording, compared: Compared) -> dict[str, str]:
     from mocap import sensors
+    from poser.commands.compare import noise_words
 
-    sigma = (recording.noise or {}).get("sigma", {})
     facts = {
         "Motion": f"built-in (standing, walking, squat, arms, jumping jacks, leg raises), "
         f"{recording.seconds:.1f} s at {recording.rate_hz:g} Hz, low-passed at 8 Hz",
         "Sensors": f"{', '.join(sensors.SIX)}; IMUPoser: {', '.join(DEVICES)}",
-        "Noise, 1 sigma": ", ".join(f"{k} {v:g}" for k, v in sigma.items()) + f"; seed {SEED}",
+        "Noise, 1 sigma": f"{noise_words(recording)}; seed {SEED}",
     }
     for name in ("sop", "sip"):
         f = compared.methods[name].figures

@@ -149,7 +149,7 @@ def _networks_start(args: Namespace, recording: Recording) -> Motion:
 
     with progress(f"{args.start} on {args.recording.name}") as tell, files.about(args.recording):
         found = tracking.track(recording, args.start, args.start, progress=tell)
-    return found.motion.on(_body(args))
+    return found.run.motion.on(_body(args))
 
 
 def _start(path: Path, whole: Recording, first: int, frames: int) -> Motion:

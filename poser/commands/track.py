@@ -15,8 +15,8 @@ from poser import estimators, files, options
 from poser.console import DONE, UsageError, emit, note, progress, say
 
 if TYPE_CHECKING:
-    from mocap.estimator import Estimator, Replay
     from mocap.recording import Recording
+    from poser.tracking import Tracked
 
 HELP = "online poses from a recording: DIP, IMUPoser or the hybrid"
 
@@ -70,12 +70,12 @@ def run(args: Namespace) -> int:
     with files.about(args.recording):
         recording = recording.select(options.sensors(args.sensors, recording.sensors))
         recording = _chosen(recording, network, args.recording, free=args.sensors is None)
-    estimator, done = _tracked(args, recording)
-    extra = {"std_rad": done.std_rad} if args.uncertainty and done.std_rad is not None else None
-    if args.uncertainty and extra is None:
+    tracked = _tracked(args, recording, network)
+    std = tracked.run.std_rad if args.uncertainty else None
+    if args.uncertainty and std is None:
         note(f"{args.output}: {args.method} states no uncertainty")
-    files.write(args.output, done.motion, extra)
-    _report(args, network, estimator, done)
+    files.write(args.output, tracked.run.motion, None if std is None else {"std_rad": std})
+    _report(args, tracked)
     return DONE
 
 
@@ -97,45 +97,28 @@ def _chosen(recording: Recording, network: str, path: Path, free: bool) -> Recor
     return recording.select(tuple(found.values()))
 
 
-def _tracked(args: Namespace, recording: Recording) -> tuple[Estimator, Replay]:
-    from mocap.estimator import replay
+def _tracked(args: Namespace, recording: Recording, network: str) -> Tracked:
     from mocap.skeleton import Skeleton
+    from poser import tracking
 
-    body, words = Skeleton.default(args.height), f"{args.method} {args.recording.name}"
-    with progress(words) as tell, files.about(args.recording):
-        estimator = estimators.make(
-            args.method, recording.rate_hz, recording.sensors,
-            network=args.network, weights=args.weights, window=args.window, skeleton=body,
+    with progress(args.method) as tell, files.about(args.recording):
+        return tracking.track(
+            recording, args.method, network, weights=args.weights, window=args.window,
+            skeleton=Skeleton.default(args.height),
+            progress=lambda share, words: tell(share, f"{words} {args.recording.name}"),
         )  # fmt: skip
-        return estimator, replay(estimator, recording, lambda share: tell(share, words), body)
 
 
-def _report(args: Namespace, network: str, estimator: Estimator, done: Replay) -> None:
+def _report(args: Namespace, tracked: Tracked) -> None:
     """The answer: JSON, or a few sentences."""
-    import numpy as np
-
-    p50, p99 = (float(x) for x in np.percentile(1e3 * done.frame_s, [50, 99]))
+    record = tracked.record() | {"motion": str(args.output)}
     if args.json:
-        emit(
-            {
-                "method": args.method,
-                "network": network,
-                "frames": len(done.motion),
-                "rate_hz": done.motion.rate_hz,
-                "frame_ms_p50": p50,
-                "frame_ms_p99": p99,
-                "fallbacks": done.fallbacks,
-                "notes": dict(done.notes),
-                "look_ahead_frames": estimator.look_ahead_frames,
-                "used_sensors": list(estimator.sensors),
-                "motion": str(args.output),
-            }
-        )
+        emit(record)
         return
-    for text, count in done.notes.items():
+    for text, count in record["notes"].items():
         say(f"fallback: {text}: {count}")
     say(
-        f"{args.output}: {len(done.motion)} frames by {args.method} from {len(estimator.sensors)} "
-        f"sensors; {p50:.1f} ms a frame (99 %: {p99:.1f}), {estimator.look_ahead_frames} frames of "
-        f"look-ahead"
+        f"{args.output}: {record['frames']} frames by {args.method} from {len(tracked.sensors)} "
+        f"sensors; {record['frame_ms_p50']:.1f} ms a frame (99 %: {record['frame_ms_p99']:.1f}), "
+        f"{tracked.look_ahead_frames} frames of look-ahead"
     )

@@ -14,12 +14,10 @@ from typing import Any
 import numpy as np
 
 from mocap.estimator import Estimator, Pose
-from mocap.skeleton import SOLE_BELOW_TOE, Skeleton
+from mocap.skeleton import TOES, Skeleton
 from poser.live.latency import Latency
 from poser.live.sinks import Sink
 from poser.live.sources import Source
-
-TOES = [10, 11]
 
 
 @dataclass
@@ -95,7 +93,7 @@ def _deliver(pose: Pose, sinks: Sequence[Sink], source: Source, report: Report) 
 def _floor(pose: Pose, skeleton: Skeleton) -> float:
     """Height in m of the floor under the lower foot: sensors do not tell how high a body is."""
     _, p = skeleton.forward(pose.R_parent_joint, pose.p_world_root)
-    return float(p[TOES, 1].min()) - SOLE_BELOW_TOE
+    return float(p[list(TOES), 1].min()) - skeleton.sole
 
 
 def _raised(pose: Pose, height: float) -> Pose:
