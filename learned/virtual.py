@@ -11,6 +11,7 @@ from functools import cached_property
 
 import numpy as np
 import torch
+from scipy.ndimage import spline_filter1d
 from torch import Tensor
 
 from learned import kinematics as kin
@@ -22,6 +23,9 @@ from mocap.skeleton import MIRROR, Skeleton
 
 # Joints that go with the legs when the halves of two clips are spliced; the pelvis is the legs'.
 LEGS = (0, 1, 2, 4, 5, 7, 8, 10, 11)
+_TAIL = (
+    12  # frames that a path is continued by before its spline is taken: 0.27^12 is left of its end
+)
 _TRIES = 20  # draws of a window free of flipped frames before one with them is taken
 
 
@@ -30,7 +34,8 @@ class Batch:
     """B windows of T frames: sensors as measured and the motion they were put on.
 
     R_world_bone (B,T,S,3,3), acc_world (B,T,S,3) m/s^2: lost samples hold the last value, as the online
-    runner does. R_parent_joint (B,T,24,3,3): the truth.
+    runner does, and what lies before a clip's beginning is its first sample. R_parent_joint (B,T,24,3,3): the
+    truth.
     """
 
     R_world_bone: Tensor
@@ -38,19 +43,40 @@ class Batch:
     R_parent_joint: Tensor
 
 
-def slerp(q0: Tensor, q1: Tensor, part: Tensor) -> Tensor:
-    """Geodesic between unit quaternions (...,4) on one hemisphere: q0 at part (...) 0, q1 at 1.
+def cubic_weights(part: np.ndarray) -> np.ndarray:
+    """Weights (...,4) of the coefficients -1, 0, 1, 2 around a place `part` (...) in [0, 1] between 0 and 1.
 
-    sin((1 - s) a) q0 + sin(s a) q1, not normalised, a = 2 asin(|q1 - q0| / 2) the angle between them.
+    The uniform cubic B-spline: ((1-s)^3, 3s^3 - 6s^2 + 4, -3s^3 + 3s^2 + 3s + 1, s^3) / 6.
     """
-    half = ((q1 - q0).norm(dim=-1) / 2).clamp(1e-6, 1.0)
-    a = 2 * torch.asin(half)
-    w0, w1 = torch.sin((1 - part) * a), torch.sin(part * a)
-    return w0.unsqueeze(-1) * q0 + w1.unsqueeze(-1) * q1
+    s = np.asarray(part)
+    return (
+        np.stack(
+            [(1 - s) ** 3, 3 * s**3 - 6 * s**2 + 4, -3 * s**3 + 3 * s**2 + 3 * s + 1, s**3], axis=-1
+        )
+        / 6
+    )
+
+
+def spline_coefficients(x: np.ndarray) -> np.ndarray:
+    """Coefficients (N+2,K) of the cubic spline through the rows of x (N,K), one beyond each end.
+
+    Beyond its ends the path goes on as its point reflection, so that its speed there is its own.
+    """
+    more = min(_TAIL, len(x) - 1)
+    before = 2 * x[:1] - x[more:0:-1]
+    after = 2 * x[-1:] - x[-2 : -2 - more : -1]
+    long = np.concatenate([before, x, after]).astype(np.float64)
+    c: np.ndarray = spline_filter1d(long, order=3, axis=0, mode="mirror")
+    return c[more - 1 : more + 1 + len(x)]
 
 
 class Windows:
-    """Draws batches from a corpus. The generator is a numpy one: its state resumes a run."""
+    """Draws batches from a corpus. The generator is a numpy one: its state resumes a run.
+
+    Between the corpus's frames motion runs on cubic splines (of the quaternions' components, normalised):
+    second differences of a path that is straight between frames jump at every frame, and where a window is
+    slowed down those jumps would be what the virtual accelerometers measure.
+    """
 
     def __init__(
         self,
@@ -69,10 +95,23 @@ class Windows:
         self._offsets = torch.as_tensor(
             np.array(Skeleton.default().offsets), dtype=torch.float32, device=self.device
         )
+        self._q, self._p, self._first = self._splines(corpus)
         self._bad = np.concatenate([[0], np.cumsum(~corpus.sound)])
         needed = self._span(np.exp(augmentation.warp))
         if not (corpus.length >= 8).any():
             raise PoserError(f"no clip of 8 frames or more to cut windows of {needed} from")
+
+    @staticmethod
+    def _splines(c: Corpus) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Coefficients of rotations (M,24,4) and positions (M,3); where each clip's begin (its frame -1)."""
+        first = np.concatenate([[0], np.cumsum(c.length + 2)[:-1]])
+        q = np.empty((int((c.length + 2).sum()), 24, 4), np.float32)
+        p = np.empty((len(q), 3), np.float32)
+        for at, start, length in zip(first, c.start, c.length, strict=True):
+            frames, to = slice(start, start + length), slice(at, at + length + 2)
+            q[to] = spline_coefficients(c.q[frames].reshape(length, -1)).reshape(-1, 24, 4)
+            p[to] = spline_coefficients(c.p[frames])
+        return q, p, first
 
     def _span(self, speed: float | np.ndarray) -> np.ndarray:
         """Corpus frames that a window covers: T frames and one more at each end, at `speed`."""
@@ -81,58 +120,67 @@ class Windows:
     def draw(self, rng: np.random.Generator, count: int) -> Batch:
         """`count` windows."""
         a = self.augmentation
-        R, p = self._motion(rng, count)
+        R, p, missing = self._motion(rng, count)
         if a.splice > 0:
-            R_other, _ = self._motion(rng, count)
-            use = self._where(rng.uniform(size=count) < a.splice)
+            R_other, _, missing_other = self._motion(rng, count)
+            use = rng.uniform(size=count) < a.splice
+            missing = np.where(use, np.maximum(missing, missing_other), missing)
             legs = torch.zeros(24, dtype=torch.bool, device=self.device)
             legs[list(LEGS)] = True
-            take = use[:, None] & ~legs
+            take = self._where(use)[:, None] & ~legs
             R = torch.where(take[:, None, :, None, None], R_other, R)
         R = self._bent(rng, R)
         if a.heading:
             Ry = kin.rot_y(self._t(rng.uniform(-np.pi, np.pi, size=(count, 1))))
             R = torch.cat([(Ry @ R[:, :, 0]).unsqueeze(2), R[:, :, 1:]], 2)
             p = (Ry @ p.unsqueeze(-1)).squeeze(-1)
-        return self._measured(rng, R, p)
+        return self._measured(rng, R, p, missing)
 
     # -- motion -----------------------------------------------------------------------------------
 
-    def _motion(self, rng: np.random.Generator, count: int) -> tuple[Tensor, Tensor]:
-        """R_parent_joint (B,T+2,24,3,3) and p (B,T+2,3) of windows, warped and mirrored."""
+    def _motion(self, rng: np.random.Generator, count: int) -> tuple[Tensor, Tensor, np.ndarray]:
+        """R_parent_joint (B,T+2,24,3,3) and p (B,T+2,3) of windows, warped and mirrored.
+
+        The third (B,): how many of the T inner frames lie before the clip's beginning.
+        """
         a, c = self.augmentation, self.corpus
         speed = np.exp(rng.uniform(-a.warp, a.warp, size=count))
         span = self._span(speed)
         which, first = self._places(rng, span)
         steps = np.arange(self.frames + 2) * (RATE_HZ / self.rate_hz)
-        at = first[:, None] + np.minimum(
-            steps * speed[:, None], (c.length[which] - 1 - first)[:, None]
-        )
+        at = first[:, None] + steps * speed[:, None]
+        missing = np.minimum((at < 0).sum(axis=1), self.frames - 1)
+        at = np.clip(at, 0, (c.length[which] - 1)[:, None])
         low = np.minimum(np.floor(at).astype(int), (c.length[which] - 2)[:, None])
-        part = self._t(at - low)
-        low = low + c.start[which][:, None]
-        q = slerp(self._t(c.q[low]), self._t(c.q[low + 1]), part[..., None])
-        p0, p1 = self._t(c.p[low]), self._t(c.p[low + 1])
-        p = p0 + part[..., None] * (p1 - p0)
-        R = kin.from_quat(q)
+        weights = cubic_weights(at - low)
+        low += self._first[which][:, None]  # of the coefficient one before the frame
+        taps, weights = low[..., None] + np.arange(4), weights.astype(np.float32)
+        q = self._t(np.einsum("btk,btkjc->btjc", weights, self._q[taps]))
+        p = self._t(np.einsum("btk,btkc->btc", weights, self._p[taps]))
+        R = kin.from_quat(q / q.norm(dim=-1, keepdim=True))
         flip = self._where(rng.uniform(size=count) < a.mirror)
         M = torch.diag(torch.tensor([-1.0, 1, 1], device=self.device))
         R = torch.where(flip[:, None, None, None, None], M @ R[:, :, list(MIRROR)] @ M, R)
         p = torch.where(flip[:, None, None], p @ M, p)
-        return R, p
+        return R, p, missing
 
     def _places(self, rng: np.random.Generator, span: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Clip and first frame of windows of `span` frames; a short clip holds its last frame."""
+        """Clip and first frame of windows of `span` frames.
+
+        A clip that is too short ends the window, as a recording that has just begun: its first frame is
+        negative.
+        """
         c = self.corpus
         which, first = np.zeros(len(span), int), np.zeros(len(span), int)
         drawn = np.arange(len(span))
         for _ in range(_TRIES):
             clip = rng.choice(len(c.names), size=len(drawn), p=c.weight)
-            room = np.maximum(c.length[clip] - span[drawn], 0)
-            at = (rng.uniform(size=len(drawn)) * (room + 1)).astype(int)
+            room = c.length[clip] - span[drawn]
+            at = (rng.uniform(size=len(drawn)) * (np.maximum(room, 0) + 1)).astype(int)
+            at += np.minimum(room, 0)
             which[drawn], first[drawn] = clip, at
-            begin = c.start[clip] + at
-            end = np.minimum(begin + span[drawn], c.start[clip] + c.length[clip])
+            begin = c.start[clip] + np.maximum(at, 0)
+            end = c.start[clip] + np.minimum(at + span[drawn], c.length[clip])
             drawn = drawn[self._bad[end] > self._bad[begin]]
             if not len(drawn):
                 break
@@ -156,7 +204,9 @@ class Windows:
 
     # -- sensors ----------------------------------------------------------------------------------
 
-    def _measured(self, rng: np.random.Generator, R_local: Tensor, p_root: Tensor) -> Batch:
+    def _measured(
+        self, rng: np.random.Generator, R_local: Tensor, p_root: Tensor, missing: np.ndarray
+    ) -> Batch:
         a = self.augmentation
         B, T, S = R_local.shape[0], self.frames, len(self._joint)
         n, dt = a.noise, 1.0 / self.rate_hz
@@ -197,7 +247,15 @@ class Windows:
             held = self._held(rng, B, S)
             R = R.gather(1, held[..., None, None].expand(R.shape))
             acc = acc.gather(1, held[..., None].expand(acc.shape))
-        return Batch(R, acc, R_local[:, 1:-1])
+        R_local = R_local[:, 1:-1]
+        if missing.any():
+            shown = torch.as_tensor(
+                np.maximum(np.arange(T), missing[:, None])[..., None], device=self.device
+            )
+            R = R.gather(1, shown[..., None, None].expand(R.shape))
+            acc = acc.gather(1, shown[..., None].expand(acc.shape))
+            R_local = R_local.gather(1, shown[..., None, None].expand(R_local.shape))
+        return Batch(R, acc, R_local)
 
     @cached_property
     def _covariance_root(self) -> np.ndarray:
