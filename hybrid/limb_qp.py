@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import osqp
 import scipy.sparse as sparse
-from scipy.linalg.lapack import dpotrf, dpotri, dpotrs
+from scipy.linalg.lapack import dpotrf, dpotrs
 
 from mocap.orientation import Array
 
@@ -32,13 +32,12 @@ class Answer:
     """x (n,), and how well it satisfies the conditions of optimality.
 
     kkt: largest violation of stationarity, box, sign and complementarity, on scaled variables, computed
-    from x itself. ok: finite and kkt small enough. variance (n,): diagonal of H^-1. iterations: OSQP's.
+    from x itself. ok: finite and kkt small enough. iterations: OSQP's.
     """
 
     x: Array
     ok: bool
     kkt: float
-    variance: Array
     iterations: int
 
 
@@ -94,14 +93,13 @@ class LimbQP:
         result = solver.solve(raise_error=False)
         z = np.clip(result.x, low, high)
         kkt = kkt_residual(P, q, low, high, z)
-        inverse = dpotri(factor, lower=0)[0]
         ok = bool(kkt <= ACCEPTED_KKT)  # False where kkt is NaN
         x = np.clip(z * scale, lower, upper)  # the scale's rounding
-        return Answer(x, ok, kkt, np.diag(inverse) * scale**2, int(result.info.iter))
+        return Answer(x, ok, kkt, int(result.info.iter))
 
     def _refused(self) -> Answer:
         """The answer to what is no strictly convex problem."""
-        return Answer(np.zeros(self.n), False, np.inf, np.full(self.n, np.nan), 0)
+        return Answer(np.zeros(self.n), False, np.inf, 0)
 
 
 def kkt_residual(P: Array, q: Array, lower: Array, upper: Array, x: Array) -> float:

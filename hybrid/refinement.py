@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg.lapack import dpotrf, dpotri
 
 from hybrid import limits, motion_filter, tasks
 from hybrid.kinematics import Configuration, Kinematics
@@ -177,7 +178,8 @@ class Refinement:
         at = self.kinematics.at(R)
         charts = self._charts(ahead, R_net, R, memory)
         terms, refused, events = self._terms(at, charts.xi, memory, pose, sample, seen, dt)
-        answer, dv = self._solve(self.qp, terms, charts, dt)
+        H, g = tasks.normal_equations(terms)
+        answer, dv = self._solve(self.qp, H, g, charts, dt)
         if not answer.ok:
             still = np.zeros_like(memory.xi)
             R_net[1:] = pose.R_parent_joint[1:]
@@ -191,7 +193,7 @@ class Refinement:
         memory = replace(
             memory, xi=xi, step=step, R_free=R[self._free], motion=motion, refused_s=refused_s
         )
-        return memory, Refined(R, self._deviation(pose, answer), unseen, events, answer)
+        return memory, Refined(R, self._deviation(pose, H), unseen, events, answer)
 
     def _measured_root(
         self, R_net: Array, sample: Sample, seen: np.ndarray, memory: Memory, dt: float
@@ -229,13 +231,10 @@ class Refinement:
         seen: np.ndarray,
         dt: float,
     ) -> tuple[list[tasks.Term], np.ndarray, dict[str, int]]:
-        """All terms at this configuration, the predictions refused (S,), counts of what was left out."""
+        """All evidence at this configuration, the predictions refused (S,), counts of what was left out."""
         s = self.settings
         sigma, whitener = self._network_errors(pose)
-        terms = [
-            tasks.network(xi, whitener),
-            tasks.damping(self.kinematics.n, np.deg2rad(s.step_sigma_deg) * np.sqrt(dt)),
-        ]
+        terms = [tasks.network(xi, whitener)]
         use = np.flatnonzero(seen & self._limbs)
         term, angle = tasks.orientation(
             at, use, sample.R_world_bone[use], np.deg2rad(s.orientation_sigma_deg)
@@ -270,9 +269,12 @@ class Refinement:
         return Charts(*ori.log(np.stack([ahead, R_now, R_free, back])))
 
     def _solve(
-        self, qp: LimbQP, terms: list[tasks.Term], charts: Charts, dt: float
+        self, qp: LimbQP, H: Array, g: Array, charts: Charts, dt: float
     ) -> tuple[Answer, Array]:
-        """The QP's answer in rotation-vector steps, and the same as tangent steps dv (F,3)."""
+        """The QP's answer in rotation-vector steps, and the same as tangent steps dv (F,3).
+
+        H, g: the evidence in tangent steps; the damping comes on top of it.
+        """
         theta = charts.theta
         # The root's rotation vector has no limits and may pass the half turn: its chart is its tangent.
         B: Array = np.where(self._limited[:, None, None], ori.right_jacobian(theta), np.eye(3))
@@ -281,7 +283,8 @@ class Refinement:
             centre[:] = np.linalg.solve(B, charts.back[..., None])[..., 0]
             reach = np.deg2rad(self.settings.rate_limit_deg_s) * dt
         low, high = tasks.box(theta, charts.proposed, self._lower, self._upper, centre, reach)
-        H, g = tasks.in_rotation_vectors(*tasks.normal_equations(terms), B)
+        damped = H + np.eye(len(H)) / (np.deg2rad(self.settings.step_sigma_deg) ** 2 * dt)
+        H, g = tasks.in_rotation_vectors(damped, g, B)
         answer = qp.solve(H, g, low.ravel(), high.ravel())
         return answer, np.einsum("fij,fj->fi", B, answer.x.reshape(theta.shape))
 
@@ -345,10 +348,17 @@ class Refinement:
             sigma = np.where(known, stated * self._scale, sigma)
         return np.clip(sigma, np.deg2rad(s.network_floor_deg), np.deg2rad(s.network_ceiling_deg))
 
-    def _deviation(self, pose: Pose, answer: Answer) -> Array | None:
-        """(24,3) rad: the QP's posterior for the free joints, the network's for the others."""
+    def _deviation(self, pose: Pose, H: Array) -> Array | None:
+        """(24,3) rad: for the free joints sqrt(diag(H^-1)), for the others the network's.
+
+        H (n,n): the evidence of network and sensors in tangent steps, so that the deviation is one of
+        Log(R_estimated^T R_true). The damping is not in it: it says how fast the answer may move.
+        """
         if pose.std_rad is None:
             return None
+        inverse, bad = dpotri(dpotrf(H, lower=0, clean=0)[0], lower=0)
+        if bad:
+            return pose.std_rad
         out = np.array(pose.std_rad, float)
-        out[self._free] = np.sqrt(answer.variance).reshape(-1, 3)
+        out[self._free] = np.sqrt(np.diag(inverse)).reshape(-1, 3)
         return out

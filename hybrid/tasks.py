@@ -95,11 +95,6 @@ def network(xi: Array, whitener: Array) -> Term:
     return Term(whitener @ xi.ravel(), whitener @ J.reshape(3 * F, 3 * F))
 
 
-def damping(n: int, sigma: float) -> Term:
-    """dv / sigma: the refinement changes by sigma rad from one frame to the next."""
-    return Term(np.zeros(n), np.eye(n) / sigma)
-
-
 def normal_equations(terms: Sequence[Term]) -> tuple[Array, Array]:
     """H (n,n) and g (n,) of 1/2 sum |e + J dv|^2 = 1/2 dv^T H dv + g^T dv + constant."""
     J = np.concatenate([t.J for t in terms])

@@ -10,7 +10,7 @@ from hybrid.refinement import Refinement, smoothed
 from mocap import metrics, synthesis
 from mocap import orientation as ori
 from mocap import sensors as places
-from mocap.estimator import Pose
+from mocap.estimator import Pose, Sample
 from mocap.motion import Motion
 from mocap.skeleton import Skeleton
 from poser import motions
@@ -113,3 +113,38 @@ def test_a_covariance_that_is_none_is_not_used(bad: object) -> None:
     )
     assert isinstance(odd, Motion)
     np.testing.assert_allclose(odd.R_parent_joint, plain.R_parent_joint, atol=1e-12)
+
+
+@pytest.mark.parametrize("sensors", [places.SIX, places.SIX[:5], ("head",)])
+def test_stated_deviations_are_those_of_the_errors(sensors: tuple[str, ...]) -> None:
+    """Network errors from a covariance, sensor errors of the stated sigma, held until the QP is at rest."""
+    rng, skeleton, dt = np.random.default_rng(4), Skeleton.default(), 1 / 60
+    settings = TrackerSettings(
+        orientation_sigma_deg=6.0, network_floor_deg=1e-3, network_memory_s=0, step_sigma_deg=60.0,
+        rate_limit_deg_s=1e6,
+    )  # fmt: skip
+    joint, seat = places.joints_and_seats(sensors)
+    refinement = Refinement(skeleton, joint, seat, settings)
+    true = ori.exp(
+        0.2 * rng.normal(size=(24, 3))
+    )  # elbows and knees inside their limits, or widened
+    C, std = correlated(rng) / 9, np.deg2rad(np.full((24, 3), 4.0))
+    R_bone = skeleton.rotations(true)[joint]
+    free, z = list(refinement.free), []
+    for _ in range(60):
+        off = ori.exp((np.linalg.cholesky(C) @ rng.normal(size=72)).reshape(24, 3))
+        seen = R_bone @ ori.exp(np.deg2rad(6.0) * rng.normal(size=(len(joint), 3)))
+        seen = np.where(
+            (joint == 0)[:, None, None], R_bone, seen
+        )  # the pelvis sensor counts as exact
+        pose = Pose(0, true @ off.mT, np.zeros(3), std, "", C)
+        sample = Sample(0.0, seen, np.zeros((len(joint), 3)), np.ones(len(joint), bool))
+        memory = refinement.start()
+        for _ in range(15):
+            memory, found = refinement.refine(memory, pose, sample, dt)
+        assert not found.reason and found.std_rad is not None
+        error = ori.log(found.R_parent_joint.mT @ true)[free]
+        z.append(error / found.std_rad[free])
+    assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=0.12)
+    by_joint = np.sqrt(np.mean(np.square(z), axis=(0, 2)))
+    assert by_joint.min() > 0.7 and by_joint.max() < 1.35
