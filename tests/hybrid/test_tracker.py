@@ -111,7 +111,8 @@ def test_time_frames_and_uncertainty_of_the_poses(truth: Motion, noisy: Recordin
     # Below a sensor nothing was learnt. Hip and knee, 8 deg each, share one measurement of 8 deg: each
     # is left with s^2 - s^4 / (3 s^2) = 2/3 s^2.
     assert np.allclose(deviation[:, 7], np.deg2rad(8.0))
-    assert np.allclose(deviation[:, 4], np.deg2rad(8.0) * np.sqrt(2 / 3), rtol=0.02)
+    knee = np.median(deviation[:, 4], axis=0)  # in a few frames the shank's sample is lost
+    assert np.allclose(knee, np.deg2rad(8.0) * np.sqrt(2 / 3), rtol=1e-3)
     assert isinstance(state, tracker.TrackerState)
     assert state.counts["frames"] == len(noisy)
 
