@@ -156,12 +156,14 @@ def test_over_the_network(recording: Recording, free_port: int, kind: str) -> No
     assert sum(d["lost"] + d["clock"] for d in facts["devices"].values()) == 0
     assert len(sink.poses) >= len(recording)
     # A busy machine sends late now and then; orientations move 0.1 rad in such a while.
-    estimator, state, off = Hold(recording.rate_hz, sensors), (), []
-    for pose, sample in zip(sink.poses, samples(recording), strict=False):
+    estimator, state, off, moved = Hold(recording.rate_hz, sensors), (), [], []
+    for pose, sample in zip(sink.poses[: len(recording)], samples(recording), strict=True):
         state, expected = estimator.step(state, sample)
         assert expected is not None
         off.append(ori.angle_between(pose.R_parent_joint, expected.R_parent_joint).max())
-    assert np.median(off) < 0.05
+        still = sink.poses[0].R_parent_joint
+        moved.append(ori.angle_between(still, expected.R_parent_joint).max())
+    assert np.median(off) < 0.05 < 0.2 < np.median(moved)  # standing still would be noticed
     latency = report.lag.quantile_ms(0.5)
     assert latency is not None and 0 < latency < 500
 
