@@ -1,4 +1,4 @@
-"""What `poser train` and `poser finetune` share: files to motions, a run with its progress, the log drawn."""
+"""What `poser train` and `poser finetune` share: options, a run with its progress, the log drawn."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mocap.errors import FormatError, PoserError
+from mocap.errors import PoserError
 from poser import files, options
-from poser.console import DONE, INTERRUPTED, complain, emit, note, progress, say
+from poser.console import DONE, INTERRUPTED, complain, emit, progress, say
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from learned.train import Trainer
     from learned.validation import Windowed
 
-MOTION_FORMATS = ("amass", "bvh", "asfamc")
-MOTION_SUFFIXES = (".npz", ".bvh", ".amc")
 NETWORKS = ("dip", "imuposer")
 
 
@@ -88,47 +86,6 @@ def check_outputs(args: Namespace, inputs: Sequence[Path]) -> None:
     files.make_folder(args.output)
     if args.resume and not (args.output / "state.pt").exists():
         raise PoserError(f"{args.output}: holds no run to resume")
-
-
-def motion_files(paths: Sequence[Path]) -> list[Path]:
-    """Files as they are, folders searched for motions in all their depth; sorted by name.
-
-    Files in folders that are no motions (AMASS keeps shapes beside them) are passed over, with a note.
-    Raises PoserError where nothing is left.
-    """
-    found, passed = [], 0
-    for path in paths:
-        if not path.is_dir():
-            found.append(path)
-            continue
-        inside = [p for p in sorted(path.rglob("*")) if p.suffix.lower() in MOTION_SUFFIXES]
-        motions = [p for p in inside if _is_motion(p)]
-        found += motions
-        passed += len(inside) - len(motions)
-    if passed:
-        note(f"{passed} files in the folders are no motions and were passed over")
-    if not found:
-        raise PoserError(f"no motion file in {', '.join(str(p) for p in paths)}")
-    return sorted(dict.fromkeys(found), key=lambda p: (p.name, str(p)))
-
-
-def _is_motion(path: Path) -> bool:
-    from mocap import formats
-
-    try:
-        return formats.detect(path).name in MOTION_FORMATS
-    except FormatError:
-        return False
-
-
-def held_out(paths: Sequence[Path]) -> tuple[list[Path], list[Path]]:
-    """(training, validation): every tenth file by name validates. Raises PoserError below two files."""
-    if len(paths) < 2:
-        raise PoserError(
-            "one motion cannot both train and validate; give more, or --validation MOTION"
-        )
-    validation = list(paths[::10])
-    return [p for p in paths if p not in set(validation)], validation
 
 
 def execute(trainer: Trainer, windows: Windowed, args: Namespace, extra: dict[str, Any]) -> int:

@@ -1,7 +1,8 @@
 """Go on training a network on your own calibrated recordings that hold a reference motion.
 
 RECORDING are recordings of any format that the readers know, or folders of them (DIP-IMU's or IMUPoser's
-as they are unpacked). The last tenth of them by name validates; of a single one its last fifth.
+as they are unpacked). The last tenth of them validates, in the order given and in folders by name; of a
+single one its last fifth.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mocap.errors import FormatError, PoserError
-from poser import files, options, training
+from poser import files, options, training, training_files
 from poser.console import note, progress
 
 if TYPE_CHECKING:
@@ -23,7 +24,6 @@ HELP = "fine-tune a network on your own recordings with a reference"
 DEFAULTS = {"steps": 2000, "every": 100, "learning_rate": 1e-4, "batch": 16, "patience": 10}
 """A tenth of DIP's rate, so that what was learned before is kept (DIP 5.1.2: no forgetting)."""
 FRAMES = {"dip": 60, "imuposer": 125}
-SUFFIXES = (".npz", ".pkl", ".pt", ".pth")
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -45,7 +45,7 @@ def run(args: Namespace) -> int:
     from learned.validation import cut_for
 
     start, origin = _start(args)
-    paths = _paths(args.recordings)
+    paths = training_files.recordings(args.recordings)
     with progress("reading recordings") as tell:
         found = []
         for k, path in enumerate(paths):
@@ -77,17 +77,6 @@ def _start(args: Namespace) -> tuple[Model, Path]:
             f"no weights of {args.network} come with this installation; give some with --start"
         )
     return checkpoint.load(path, args.network), path
-
-
-def _paths(given: Sequence[Path]) -> list[Path]:
-    """Files as they are, folders searched in all their depth."""
-    found: list[Path] = []
-    for path in given:
-        inside = sorted(path.rglob("*")) if path.is_dir() else [path]
-        found += [p for p in inside if p is path or p.suffix.lower() in SUFFIXES]
-    if not found:
-        raise PoserError(f"no recording in {', '.join(str(p) for p in given)}")
-    return found
 
 
 def _recording(path: Path, model: Model) -> Recording:

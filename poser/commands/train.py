@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mocap.errors import PoserError
-from poser import files, options, training
+from poser import files, options, training, training_files
 from poser.console import UsageError, note, part, progress
 
 if TYPE_CHECKING:
@@ -114,14 +114,12 @@ def _data(args: Namespace, tell: Progress) -> tuple[Corpus, Windowed, dict[str, 
         return _own_split(args.network, tell)
     from learned import corpus, validation
 
-    train = training.motion_files(args.motions)
+    train = training_files.motions(args.motions)
     if args.validation:
-        held = training.motion_files(args.validation)
-        both = {p.resolve() for p in held} & {p.resolve() for p in train}
-        if both:
-            raise UsageError(f"{min(both)}: would both train and validate")
+        held = training_files.motions(args.validation)
+        training_files.check_apart(train, held)
     else:
-        train, held = training.held_out(train)
+        train, held = training_files.held_out(train)
         names = ", ".join(p.stem for p in held[:5]) + (", ..." if len(held) > 5 else "")
         note(f"validation: every tenth motion by name, {len(held)} of them ({names})")
     forward = part(tell, 0.0, 0.9)

@@ -91,6 +91,21 @@ def test_train_resume_export(
     assert "1 files in the folders are no motions" in said.err
 
 
+def test_a_motion_found_twice_does_not_validate_what_it_trains(
+    clips: Path, tmp_path: Path, answer: Answer, refusal: Refusal
+) -> None:
+    """The same clip by another folder, as a copy of another name: of three motions one validates."""
+    copy = tmp_path / "clip0-again.npz"
+    copy.write_bytes((clips / "subject0" / "deep" / "clip0.npz").read_bytes())
+    words = ["train", "dip", clips, clips / "subject0", copy, *SMALL, "--steps", "2"]
+    found = answer(*words, "-o", tmp_path / "r")
+    assert (found["data"]["clips"], found["data"]["validation_clips"]) == (2, 1)
+    _, said = refusal(
+        "train", "dip", clips, "--validation", copy, "-o", tmp_path / "s", *SMALL, "--steps", "2"
+    )
+    assert "clip0-again.npz: would both train and validate" in said
+
+
 def test_options_reach_the_settings(clips: Path, tmp_path: Path, answer: Answer) -> None:
     found = answer(
         "train", "dip", clips, "-o", tmp_path / "r", *SMALL, "--steps", "2", "--architecture", "rnn",
@@ -142,7 +157,8 @@ def test_a_run_with_other_settings_or_motions_is_left_alone(
         (["dip", "CLIPS", "--export", "x.pt"], 2, "must end in .safetensors"),
         (["dip", "CLIPS/subject0/deep/clip0.npz"], 1, "one motion cannot both train and validate"),
         (["dip", "CLIPS", "--validation", "CLIPS"], 2, "would both train and validate"),
-        (["dip", "CLIPS/subject0/shape.npz", "CLIPS/none.npz"], 1, "do not fit"),
+        (["dip", "CLIPS/subject0/deep/clip0.npz", "CLIPS/subject0/shape.npz"], 1, "do not fit"),
+        (["dip", "CLIPS", "CLIPS/none.npz"], 1, "none.npz: No such file"),
         (["dip", "--validation", "CLIPS"], 2, "needs MOTION"),
         (["lstm", "CLIPS"], 2, "invalid choice"),
     ],
@@ -256,6 +272,21 @@ def test_finetune(
     assert answer(*words, *quick, "--steps", "6")["begun_at_step"] == 4
     record = checkpoint.describe(tmp_path / "b" / "best.safetensors")
     assert record["started_from"] == "best.safetensors"
+
+
+def test_a_recording_given_twice_is_one(
+    clips: Path, recordings: Path, tmp_path: Path, answer: Answer
+) -> None:
+    """Its last fifth validates then, which nothing has trained on."""
+    answer("train", "dip", clips, "-o", tmp_path / "a", *SMALL, "--steps", "2")
+    take = recordings / "take0.npz"
+    link = tmp_path / "link.npz"
+    link.symlink_to(take)
+    found = answer(
+        "finetune", "dip", take, link, "-o", tmp_path / "b", "--batch", "2", "--frames", "12",
+        "--steps", "2", "--start", tmp_path / "a" / "best.safetensors",
+    )  # fmt: skip
+    assert found["data"]["recordings"] == 1
 
 
 def test_what_cannot_be_fine_tuned_on(
