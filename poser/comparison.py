@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,8 +18,8 @@ from mocap.motion import Motion
 from mocap.recording import Recording
 from mocap.skeleton import Skeleton
 from poser.console import Progress, part
-from poser.estimators import check_devices, network_of, stand_in, used
-from poser.results import Compared, Result
+from poser.estimators import check_devices, devices_of, network_of, used
+from poser.results import NAMES, NO_SKILL, Compared, Lost, Result
 
 if TYPE_CHECKING:
     from sip import Settings
@@ -28,9 +28,6 @@ METHODS = ("sop", "sip", "dip", "imuposer", "imuposer-adam", "hybrid-dip", "hybr
 ALIASES = {"hybrid": "hybrid-dip"}
 SOLVED = ("sop", "sip")
 NETWORK = {m: network_of(m) for m in METHODS if m not in SOLVED}
-# What IMUPoser sees where nothing is said: a watch on each wrist and earphones where the recording has no
-# pocket, otherwise a watch, a phone and earphones.
-_EVERYDAY = (("left_wrist", "right_pocket", "head"), ("left_wrist", "right_wrist", "head"))
 
 
 @dataclass(frozen=True)
@@ -38,7 +35,8 @@ class Job:
     """What to run on one recording.
 
     name: as it is called in tables. methods: of `METHODS`. sensors: what the methods see (None: `six` where
-    the recording has them, else all it has). devices: what IMUPoser sees (None: see `devices_of`).
+    the recording has them, else all it has). devices: what IMUPoser sees (None: `devices_of` the sensors
+    given, else of all that the recording has).
     reference: a motion, "sip-all", or None for the recording's own. skeleton: the body that SIP solves for.
     """
 
@@ -68,30 +66,68 @@ def canonical(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(m for m in METHODS if m in wanted)
 
 
-def possible(recording: Recording, sensors: tuple[str, ...] | None = None) -> tuple[str, ...]:
-    """The methods that can read the recording: DIP needs the six places, IMUPoser one of its five."""
-    seen = sensors or six_of(recording)
-    six = all(stand_in(n, seen) for n in places.SIX)
-    five = bool(devices_of(recording))
-    able = {"dip": six, "imuposer": five}
-    return tuple(m for m in METHODS if able.get(NETWORK.get(m, ""), True))
-
-
 def run(job: Job, tell: Progress = lambda fraction, words: None) -> Compared:
-    """Every method of a job, measured against its reference. Raises PoserError naming the method."""
-    seen = job.sensors or six_of(job.recording)
-    reference, words = _reference(job, part(tell, 0.0, 0.3 if job.reference == "sip-all" else 0.01))
+    """The methods of a job, measured against its reference; those that failed are in `Compared.failed`.
+
+    Raises PoserError where nothing could be measured.
+    """
+    found = attempt(job, tell)
+    if isinstance(found, Lost):
+        raise PoserError(found.sentence)
+    return found
+
+
+def attempt(job: Job, tell: Progress = lambda fraction, words: None) -> Compared | Lost:
+    """As `run`, but a job of which nothing could be measured is `Lost`, with the reasons."""
+    why = obstacles(job)
+    able = [m for m in job.methods if m not in why]
+    if not able:
+        return Lost(job.name, why)
     start = 0.3 if job.reference == "sip-all" else 0.01
+    try:
+        reference, words = _reference(job, part(tell, 0.0, start))
+    except PoserError as e:
+        return Lost(job.name, {"reference": str(e)})
     methods: dict[str, Result] = {}
-    for i, name in enumerate(job.methods):
-        a, b = (start + (1 - start) * (i + k) / len(job.methods) for k in (0, 1))
+    for i, name in enumerate(able):
+        a, b = (start + (1 - start) * (i + k) / len(able) for k in (0, 1))
         try:
-            methods[name] = _method(job, name, seen, reference, part(tell, a, b, name))
+            methods[name] = _method(job, name, reference, part(tell, a, b, name))
         except PoserError as e:
-            raise PoserError(f"{job.name}, {name}: {e}") from e
+            why[name] = str(e)
+    why = {m: why[m] for m in job.methods if m in why}
+    if not methods:
+        return Lost(job.name, why)
     if job.no_skill:
+        seen = job.sensors or six_of(job.recording)
         methods |= _no_skill(job.recording, seen, reference)
-    return Compared(job.name, words, methods, reference)
+    return Compared(job.name, words, methods, reference, why)
+
+
+def obstacles(job: Job) -> dict[str, str]:
+    """Method -> why the sensors there are do not serve it; a method that they serve is not in it."""
+    found = {}
+    for name in job.methods:
+        try:
+            read_by(job, name)
+        except PoserError as e:
+            found[name] = str(e)
+    return found
+
+
+def read_by(job: Job, name: str) -> tuple[str, ...]:
+    """The sensors that a method reads, in its own order: what it does not read it has not seen.
+
+    Raises SensorError where they do not serve it.
+    """
+    if name in SOLVED:
+        return job.sensors or six_of(job.recording)
+    if NETWORK[name] != "imuposer":
+        return tuple(used(NETWORK[name], job.sensors or six_of(job.recording)).values())
+    there = job.sensors or job.recording.sensors
+    found = used("imuposer", job.devices or devices_of(there) or there)
+    check_devices(found, "--devices")
+    return tuple(found.values())
 
 
 def six_of(recording: Recording) -> tuple[str, ...]:
@@ -101,34 +137,27 @@ def six_of(recording: Recording) -> tuple[str, ...]:
     return recording.sensors
 
 
-def devices_of(recording: Recording) -> tuple[str, ...]:
-    """What IMUPoser sees where nothing is said: a watch, a phone in a pocket and earphones, else two
-    watches and earphones, of the places (or sensors on the same bones) that the recording has; else
-    whatever it has of IMUPoser's five places, at most three."""
-    for wanted in _EVERYDAY:
-        found = tuple(stand_in(n, recording.sensors) for n in wanted)
-        if all(found):
-            return tuple(f for f in found if f)
-    have = {n: s for n in places.FIVE if (s := stand_in(n, recording.sensors))}
-    names = list(have)[:3]
-    if names == ["left_pocket", "right_pocket", "head"]:  # not among IMUPoser's combinations
-        names = ["left_pocket", "head"]
-    return tuple(have[n] for n in names)
-
-
 # -- reference ------------------------------------------------------------------------------------
 
 
 def _reference(job: Job, tell: Progress) -> tuple[Motion, str]:
+    """The truth and where it comes from, in words. Raises PoserError where there is none that fits."""
     if isinstance(job.reference, Motion):
+        slower = min(job.reference.rate_hz, job.recording.rate_hz)
+        # As `metrics.evaluate` demands, but before hours of solving rather than after each method.
+        if abs(job.reference.seconds - job.recording.seconds) > (1 + 1e-6) / slower:
+            raise PoserError(
+                f"the reference lasts {job.reference.seconds:.3f} s, the recording "
+                f"{job.recording.seconds:.3f} s: they may differ by one frame at most"
+            )
         return job.reference, "a motion file"
     if job.reference == "sip-all":
         solution = _solve(job, job.recording, "sip", tell)
         return solution.motion, f"SIP on all {len(job.recording.sensors)} sensors"
     if job.recording.reference is None:
         raise PoserError(
-            f"{job.name}: holds no reference motion; give --reference MOTION, or sip-all for SIP on "
-            f"all its sensors"
+            "the recording holds no reference motion; give --reference MOTION, or sip-all for SIP on "
+            "all its sensors"
         )
     return job.recording.reference, "the recording's own"
 
@@ -136,9 +165,8 @@ def _reference(job: Job, tell: Progress) -> tuple[Motion, str]:
 # -- methods --------------------------------------------------------------------------------------
 
 
-def _method(
-    job: Job, name: str, seen: tuple[str, ...], reference: Motion, tell: Progress
-) -> Result:
+def _method(job: Job, name: str, reference: Motion, tell: Progress) -> Result:
+    seen = read_by(job, name)
     if name in SOLVED:
         from poser.commands.solve import record
 
@@ -148,14 +176,6 @@ def _method(
         return _result(job, solution.motion, reference, seen, figures)
     from poser import tracking
 
-    if NETWORK[name] == "imuposer":
-        those = job.recording.select(job.sensors) if job.sensors else job.recording
-        seen = job.devices or devices_of(those)
-    # What the network reads of them, in its own order: what it does not read it has not seen.
-    found = used(NETWORK[name], seen)
-    if NETWORK[name] == "imuposer":
-        check_devices(found)
-    seen = tuple(found.values())
     tracked = tracking.track(
         job.recording.select(seen), "hybrid" if name.startswith("hybrid") else name, NETWORK[name],
         progress=tell,
@@ -196,84 +216,7 @@ def _no_skill(recording: Recording, seen: tuple[str, ...], reference: Motion) ->
     return out
 
 
-# -- many recordings ------------------------------------------------------------------------------
-
-
-def run_many(
-    jobs: Sequence[Job],
-    processes: int = 1,
-    tell: Progress = lambda fraction, words: None,
-    cluster: str | None = None,
-    keep: Callable[[Compared], None] = lambda compared: None,
-) -> list[Compared]:
-    """All jobs in their order; several at a time where asked, each in a process of its own.
-
-    cluster: address of a Dask scheduler whose workers do them (the extra `cluster`). keep: called with each
-    result as it comes, so that an interruption loses none that is done.
-    """
-    if cluster is not None:
-        return _on_cluster(jobs, cluster, tell, keep)
-    done: list[Compared | None] = [None] * len(jobs)
-    if processes <= 1 or len(jobs) <= 1:
-        for i, job in enumerate(jobs):
-            words = f"{job.name} ({i + 1} of {len(jobs)})" if len(jobs) > 1 else ""
-            done[i] = run(job, part(tell, i / len(jobs), (i + 1) / len(jobs), words))
-            keep(done[i])  # type: ignore[arg-type]
-        return [d for d in done if d is not None]
-    from concurrent.futures import ProcessPoolExecutor, as_completed
-    from multiprocessing import get_context
-
-    # Spawned, not forked: torch and OpenMP do not survive a fork of a process that has used them.
-    with ProcessPoolExecutor(
-        min(processes, len(jobs)), mp_context=get_context("spawn"), initializer=_one_thread
-    ) as pool:
-        futures = {pool.submit(run, job): i for i, job in enumerate(jobs)}
-        try:
-            for count, future in enumerate(as_completed(futures), 1):
-                i = futures[future]
-                done[i] = future.result()
-                keep(done[i])  # type: ignore[arg-type]
-                tell(count / len(jobs), f"{jobs[i].name}: done, {count} of {len(jobs)}")
-        except BaseException:
-            running = list((pool._processes or {}).values())  # shutdown forgets them
-            pool.shutdown(wait=False, cancel_futures=True)
-            for process in running:
-                process.terminate()
-            raise
-    return [d for d in done if d is not None]
-
-
-def _one_thread() -> None:
-    """A worker uses one core: the processes are the parallelism. Ctrl-C is the parent's to handle."""
-    import os
-    import signal
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[name] = "1"
-    from threadpoolctl import threadpool_limits
-
-    threadpool_limits(1)
-
-
-def _on_cluster(
-    jobs: Sequence[Job], address: str, tell: Progress, keep: Callable[[Compared], None]
-) -> list[Compared]:
-    try:
-        from dask.distributed import Client, as_completed
-    except ImportError as e:
-        raise PoserError(
-            "--cluster needs dask.distributed: pip install 'poser-imu[cluster]'"
-        ) from e
-    done: dict[int, Compared] = {}
-    with Client(address, timeout=30) as client:
-        futures = [client.submit(run, job, pure=False) for job in jobs]
-        place = {f.key: i for i, f in enumerate(futures)}
-        for future, result in as_completed(futures, with_results=True):
-            done[place[future.key]] = result
-            keep(result)
-            tell(len(done) / len(jobs), f"{len(done)} of {len(jobs)} recordings")
-    return [done[i] for i in sorted(done)]
+# -- what came out -------------------------------------------------------------------------------
 
 
 def worst_frames(compared: Compared, method: str, count: int = 3) -> list[int]:
@@ -290,6 +233,39 @@ def worst_frames(compared: Compared, method: str, count: int = 3) -> list[int]:
         if len(found) == count:
             break
     return found
+
+
+def worst(found: list[Compared]) -> list[tuple[str, list[tuple[str, Any, Any]]]]:
+    """Per method the four worst frames over all recordings, by position error."""
+    rows = []
+    for name in dict.fromkeys(n for c in found for n in c.methods if n not in NO_SKILL):
+        cells = []
+        for compared in found:
+            if name not in compared.methods:
+                continue
+            error = compared.methods[name].metrics.frame_position_cm
+            for t in worst_frames(compared, name):
+                assert error is not None
+                motion = compared.methods[name].motion.resampled(compared.truth.rate_hz)
+                t = min(t, len(motion) - 1)
+                at = f"{compared.name} {t / compared.truth.rate_hz:.1f} s\n{error[t]:.1f} cm"
+                joints = (compared.truth.p_world_joint[t], motion.p_world_joint[t])
+                cells.append((float(error[t]), (at, *joints)))
+        cells.sort(key=lambda cell: -cell[0])
+        if cells:
+            rows.append((NAMES.get(name, name), [c for _, c in cells[:4]]))
+    return rows
+
+
+def joint_means(found: list[Compared]) -> dict[str, Any]:
+    """Per method the mean angle of each joint (24,) in deg, over all recordings."""
+    out = {}
+    for name in dict.fromkeys(n for c in found for n in c.methods if n not in NO_SKILL):
+        each = [c.methods[name].metrics.joint_deg for c in found if name in c.methods]
+        known = [k for k in each if k is not None]
+        if known:
+            out[name] = np.mean(known, axis=0)
+    return out
 
 
 def check_paths(folder: Path, names: Sequence[str]) -> dict[str, Path]:

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 METHODS = ("dip", "imuposer", "imuposer-adam", "hybrid")
 NETWORKS = ("dip", "imuposer")
 MOST_DEVICES = 3  # that IMUPoser is trained on at a time
+_EVERYDAY = (("left_wrist", "right_pocket", "head"), ("left_wrist", "right_wrist", "head"))
 
 
 def stand_in(place: str, sensors: Sequence[str]) -> str | None:
@@ -26,6 +27,23 @@ def stand_in(place: str, sensors: Sequence[str]) -> str | None:
     joint = places.lookup(place).joint
     others = (n for n in sensors if n in places.PLACES and places.PLACES[n].joint == joint)
     return next(others, None)
+
+
+def devices_of(sensors: Sequence[str]) -> tuple[str, ...]:
+    """What IMUPoser sees of these where nothing is said: a watch, a phone in a pocket and earphones, else two
+    watches and earphones (or sensors on the same bones); else what there is of IMUPoser's five places,
+    at most three."""
+    from mocap import sensors as places
+
+    for wanted in _EVERYDAY:
+        found = tuple(stand_in(n, sensors) for n in wanted)
+        if all(found):
+            return tuple(f for f in found if f)
+    have = {n: s for n in places.FIVE if (s := stand_in(n, sensors))}
+    names = list(have)[:MOST_DEVICES]
+    if names == ["left_pocket", "right_pocket", "head"]:  # not among IMUPoser's combinations
+        names = ["left_pocket", "head"]
+    return tuple(have[n] for n in names)
 
 
 def network_of(method: str, network: str | None = None) -> str:
@@ -66,13 +84,16 @@ def used(network: str, sensors: Sequence[str]) -> dict[str, str]:
     return found
 
 
-def check_devices(found: dict[str, str]) -> None:
-    """IMUPoser's devices as worn all at once: raises SensorError where it was not trained on them."""
+def check_devices(found: dict[str, str], option: str = "--sensors") -> None:
+    """IMUPoser's devices as worn all at once: raises SensorError where it was not trained on them.
+
+    option: the argument that chooses others.
+    """
     pockets_and_head = set(found) == {"left_pocket", "right_pocket", "head"}
     if len(found) > MOST_DEVICES or pockets_and_head:
         why = "both pockets and the head together" if pockets_and_head else f"{len(found)} devices"
         raise SensorError(
-            f"imuposer is trained on one to three devices, not on {why}: choose with --sensors, "
+            f"imuposer is trained on one to three devices, not on {why}: choose with {option}, "
             f"for example {','.join(list(found.values())[:2])}"
         )
 

@@ -33,10 +33,12 @@ def page(
     mean: Mapping[str, Mapping[str, Any]],
     pictures: Sequence[tuple[Path, str]],
     facts: Mapping[str, str],
+    failures: Sequence[str] = (),
 ) -> str:
     """The page. mean: of `results.json`. pictures: PNG files and their captions, embedded.
 
-    facts: what was run, on what, with which numbers. Raises OSError where a picture cannot be read.
+    facts: what was run, on what, with which numbers. failures: sentences about what could not be measured.
+    Raises OSError where a picture cannot be read.
     """
     figures = "\n".join(_figure(path, caption) for path, caption in pictures)
     said = "\n".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in facts.items())
@@ -53,6 +55,7 @@ the method saw; <em>left out</em>: bones whose sensors it did not see, against w
 <em>ms/frame</em>: an offline method's solving time over its frames; <em>p50, p99</em>: an online method's
 time for one frame; <em>latency</em>: frames that it looks ahead. Mean pose and nearest pose need no skill: a
 method has to beat both clearly.</p>
+{_failures(failures)}
 <h2>Side by side</h2>
 {player.section(recordings)}
 {figures}
@@ -64,6 +67,13 @@ method has to beat both clearly.</p>
 </body>
 </html>
 """
+
+
+def _failures(sentences: Sequence[str]) -> str:
+    if not sentences:
+        return ""
+    lines = "\n".join(f"<li>{escape(s)}</li>" for s in sentences)
+    return f"<h2>Not measured</h2>\n<ul>\n{lines}\n</ul>"
 
 
 def _each(recordings: Sequence[Compared]) -> str:

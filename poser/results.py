@@ -45,27 +45,63 @@ class Result:
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """Methods on one recording. reference: where the truth comes from, in words; truth: that motion."""
+    """Methods on one recording. reference: where the truth comes from, in words; truth: that motion.
+
+    failed: method -> why it could not be measured.
+    """
 
     name: str
     reference: str
     methods: Mapping[str, Result]
     truth: Motion
+    failed: Mapping[str, str] = field(default_factory=dict)
+
+    def to_json(self) -> dict[str, Any]:
+        methods = {name: m.to_json() for name, m in self.methods.items()}
+        return {
+            "name": self.name, "reference": self.reference, "methods": methods,
+            "failed": dict(self.failed),
+        }  # fmt: skip
 
 
-def to_json(recordings: Sequence[Compared]) -> dict[str, Any]:
+@dataclass(frozen=True)
+class Lost:
+    """A recording of which nothing could be measured. failed: method, or "reference" -> why."""
+
+    name: str
+    failed: Mapping[str, str]
+
+    @property
+    def sentence(self) -> str:
+        return "; ".join(failures([self]))
+
+    def to_json(self) -> dict[str, Any]:
+        return {"name": self.name, "reference": None, "methods": {}, "failed": dict(self.failed)}
+
+
+def failures(recordings: Sequence[Compared | Lost]) -> list[str]:
+    """What could not be measured and why, a sentence for each recording and cause."""
+    out = []
+    for r in recordings:
+        causes: dict[str, list[str]] = {}
+        for what, why in r.failed.items():
+            causes.setdefault(why, []).append(what)
+        out += [f"{r.name}, {', '.join(whats)}: {why}" for why, whats in causes.items()]
+    return out
+
+
+def measured(recordings: Sequence[Compared | Lost]) -> list[Compared]:
+    """Those of which something could be measured."""
+    return [r for r in recordings if isinstance(r, Compared)]
+
+
+def to_json(recordings: Sequence[Compared | Lost]) -> dict[str, Any]:
     """The content of `results.json`: per recording, and the mean of per-recording means."""
+    found = measured(recordings)
     return {
         "schema": SCHEMA,
-        "recordings": [
-            {
-                "name": r.name,
-                "reference": r.reference,
-                "methods": {name: m.to_json() for name, m in r.methods.items()},
-            }
-            for r in recordings
-        ],
-        "mean": {name: _mean(name, recordings) for name in _methods(recordings)},
+        "recordings": [r.to_json() for r in recordings],
+        "mean": {name: _mean(name, found) for name in _methods(found)},
     }
 
 

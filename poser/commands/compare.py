@@ -9,6 +9,7 @@ the recording has.
 from __future__ import annotations
 
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from mocap.motion import Motion
     from mocap.recording import Recording
     from poser.comparison import Job
-    from poser.results import Compared
+    from poser.results import Compared, Lost
 
 HELP = "several methods on the same recordings, with a report"
 
@@ -77,17 +78,21 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def run(args: Namespace) -> int:
-    from poser import comparison, results
+    from poser import batch, comparison, earlier, results
 
     if args.cluster and args.jobs > 1:
         raise UsageError("argument --cluster: not with --jobs, the scheduler decides")
     files.make_folder(args.output)
     jobs = _jobs(args)
     where = comparison.check_paths(args.output, [j.name for j in jobs])
-    written = (*comparison.METHODS, *results.NO_SKILL, "reference")
-    _check_inputs(args, [folder / f"{name}.npz" for folder in where.values() for name in written])
+    old = earlier.files_in(args.output, where.values())
+    written = [folder / f"{n}.npz" for folder in where.values() for n in earlier.MOTIONS]
+    _check_inputs(args, [*written, *old])
 
     def keep(compared: Compared) -> None:
+        # Only now: a run of which nothing comes leaves the earlier one as it was.
+        earlier.remove(old, args.output)
+        old.clear()
         folder = where[compared.name]
         files.make_folder(folder)
         for name, result in compared.methods.items():
@@ -95,12 +100,18 @@ def run(args: Namespace) -> int:
         files.write(folder / "reference.npz", compared.truth)
 
     with progress("comparing") as tell:
-        found = comparison.run_many(jobs, args.jobs, part(tell, 0.0, 0.95), args.cluster, keep)
+        found = batch.run_many(jobs, args.jobs, part(tell, 0.0, 0.95), args.cluster, keep)
         tell(0.95, "report")
+        measured = results.measured(found)
+        if not measured:
+            raise PoserError(_nothing(found))
         record = results.to_json(found)
-        record["motions"] = {n: str(p.relative_to(args.output)) for n, p in where.items()}
+        record["motions"] = {c.name: str(where[c.name].relative_to(args.output)) for c in measured}
         files.write_text(args.output / "results.json", json_text(record) + "\n")
-        write_report(args.output, _title(found), found, record["mean"], _facts(args, jobs))
+        facts = _facts(args, jobs, found)
+        write_report(args.output, _title(found), found, record["mean"], facts)
+    for sentence in results.failures(found):
+        note(sentence)
     if args.json:
         emit(record)
         return DONE
@@ -110,7 +121,7 @@ def run(args: Namespace) -> int:
 
 
 def _check_inputs(args: Namespace, outputs: list[Path]) -> None:
-    """None of the files to be written may be one that is read."""
+    """None of the files to be written or removed may be one that is read."""
     inputs = [*args.recordings]
     if args.reference not in (None, "sip-all"):
         inputs.append(Path(args.reference))
@@ -150,12 +161,11 @@ def _jobs(args: Namespace) -> list[Job]:
                 f"{path}: holds no reference motion; give --reference MOTION, or sip-all for SIP on all "
                 f"its sensors"
             )
-        methods = args.methods or _possible(path, window, sensors)
         jobs.append(
             comparison.Job(
                 name,
                 window,
-                methods,
+                args.methods or comparison.METHODS,
                 sensors,
                 devices,
                 truth,
@@ -164,17 +174,6 @@ def _jobs(args: Namespace) -> list[Job]:
             )
         )
     return jobs
-
-
-def _possible(path: Path, recording: Recording, sensors: tuple[str, ...] | None) -> tuple[str, ...]:
-    """The methods that can read this recording's sensors; the others are named in a note."""
-    from poser import comparison
-
-    able = comparison.possible(recording, sensors)
-    missing = [m for m in comparison.METHODS if m not in able]
-    if missing:
-        note(f"{path}: its sensors do not serve {', '.join(missing)}; left out")
-    return able
 
 
 def _cut(reference: Motion, rate_hz: float, frames: int, first: int, count: int) -> Motion:
@@ -198,7 +197,15 @@ def _names(paths: list[Path]) -> list[str]:
     return names
 
 
-def _title(found: list[Compared]) -> str:
+def _nothing(found: Sequence[Lost | Compared]) -> str:
+    """Why nothing could be measured, by the first recording's reasons."""
+    from poser import results
+
+    more = f" (and {len(found) - 1} more recordings)" if len(found) > 1 else ""
+    return f"nothing could be measured: {results.failures(found[:1])[0]}{more}"
+
+
+def _title(found: Sequence[Lost | Compared]) -> str:
     if len(found) == 1:
         return f"Comparison on {found[0].name}"
     return f"Comparison on {len(found)} recordings"
@@ -207,21 +214,22 @@ def _title(found: list[Compared]) -> str:
 def write_report(
     folder: Path,
     title: str,
-    found: list[Compared],
+    found: Sequence[Compared | Lost],
     mean: dict[str, Any],
     facts: dict[str, str],
     extra: tuple[tuple[Path, str], ...] = (),
 ) -> None:
     """Pictures and report.html in `folder`; `extra` pictures come first."""
-    from poser import pictures, report
+    from poser import comparison, pictures, report, results
 
+    failures, found = results.failures(found), results.measured(found)
     shown = list(extra)
-    worst = _worst(found)
+    worst = comparison.worst(found)
     if worst:
         pictures.save(pictures.pairs(worst), folder / "worst.png")
         caption = "The worst frames of each method: its skeleton, and the reference in grey."
         shown.append((folder / "worst.png", caption))
-    bars = _joint_means(found)
+    bars = comparison.joint_means(found)
     if bars:
         pictures.save(pictures.joints(bars), folder / "joints.png")
         shown.append((folder / "joints.png", "Mean global angle of each joint, nothing masked."))
@@ -230,55 +238,32 @@ def write_report(
         pictures.save(pictures.errors(curves), folder / "errors.png")
         shown.append((folder / "errors.png", "Error over time; in brackets the mean."))
     facts = facts | {"Computed with": report.environment()}
-    files.write_text(folder / "report.html", report.page(title, found, mean, shown, facts))
-
-
-def _worst(found: list[Compared]) -> list[tuple[str, list[tuple[str, Any, Any]]]]:
-    """Per method the three worst frames over all recordings, by position error."""
-    from poser import comparison
-    from poser.results import NAMES, NO_SKILL
-
-    rows = []
-    for name in dict.fromkeys(n for c in found for n in c.methods if n not in NO_SKILL):
-        cells = []
-        for compared in found:
-            if name not in compared.methods:
-                continue
-            error = compared.methods[name].metrics.frame_position_cm
-            for t in comparison.worst_frames(compared, name):
-                assert error is not None
-                motion = compared.methods[name].motion.resampled(compared.truth.rate_hz)
-                t = min(t, len(motion) - 1)
-                at = f"{compared.name} {t / compared.truth.rate_hz:.1f} s\n{error[t]:.1f} cm"
-                joints = (compared.truth.p_world_joint[t], motion.p_world_joint[t])
-                cells.append((float(error[t]), (at, *joints)))
-        cells.sort(key=lambda cell: -cell[0])
-        if cells:
-            rows.append((NAMES.get(name, name), [c for _, c in cells[:4]]))
-    return rows
-
-
-def _joint_means(found: list[Compared]) -> dict[str, Any]:
-    import numpy as np
-
-    from poser.results import NO_SKILL
-
-    out = {}
-    for name in dict.fromkeys(n for c in found for n in c.methods if n not in NO_SKILL):
-        each = [c.methods[name].metrics.joint_deg for c in found if name in c.methods]
-        known = [k for k in each if k is not None]
-        if known:
-            out[name] = np.mean(known, axis=0)
-    return out
+    files.write_text(
+        folder / "report.html", report.page(title, found, mean, shown, facts, failures)
+    )
 
 
 def noise_words(recording: Recording) -> str:
-    """The sizes of the noise that a recording was synthesised with."""
-    sigma = (recording.noise or {}).get("sigma", {})
-    return ", ".join(f"{k} {v:g}" for k, v in sigma.items())
+    """The sizes of the noise that a recording was synthesised with, as far as its notes are readable."""
+    sigma = (recording.noise or {}).get("sigma")
+    if not isinstance(sigma, Mapping):
+        return "of sizes that its notes do not tell"
+    sizes = {str(k): _size(v) for k, v in sigma.items()}
+    known = [f"{k} {v:g}" for k, v in sizes.items() if v is not None]
+    odd = [k for k, v in sizes.items() if v is None]
+    if odd:
+        known.append(f"{', '.join(odd)} not a number in its notes")
+    return ", ".join(known)
 
 
-def _facts(args: Namespace, jobs: list[Job]) -> dict[str, str]:
+def _size(value: Any) -> float | None:
+    try:
+        return float(value)
+    except (TypeError, ValueError, OverflowError):
+        return None
+
+
+def _facts(args: Namespace, jobs: list[Job], found: Sequence[Compared | Lost]) -> dict[str, str]:
     from poser import comparison
 
     first = jobs[0]
@@ -291,12 +276,34 @@ def _facts(args: Namespace, jobs: list[Job]) -> dict[str, str]:
         ),
         "Sensors": ", ".join(first.sensors or comparison.six_of(first.recording)),
     }
-    if any(comparison.NETWORK.get(m) == "imuposer" for m in first.methods):
-        devices = ", ".join(first.devices or comparison.devices_of(first.recording))
-        facts["IMUPoser's devices"] = devices
-        if args.devices is None:
-            note(f"IMUPoser sees {devices}; --devices chooses others")
+    devices = _devices(jobs, found)
+    if devices:
+        facts["IMUPoser's devices"] = "; ".join(devices)
     facts["SOP and SIP"] = f"solver {args.solver}, default settings"
     if first.recording.noise:
         facts["Noise of the first, 1 sigma"] = noise_words(first.recording)
     return facts
+
+
+def _devices(jobs: list[Job], found: Sequence[Compared | Lost]) -> list[str]:
+    """The sets of devices that IMUPoser saw; a note tells those that the user did not name."""
+    from poser.comparison import NETWORK
+    from poser.estimators import used
+    from poser.results import measured
+
+    of = {job.name: job for job in jobs}
+    sets: dict[str, None] = {}
+    for compared in measured(found):
+        job = of[compared.name]
+        saw = [m for n, m in compared.methods.items() if NETWORK.get(n) == "imuposer"]
+        if not saw:
+            continue
+        names = saw[0].figures["used_sensors"]
+        text = ", ".join(names)
+        there = used("imuposer", job.sensors or job.recording.sensors)
+        if len(there) > len(names):
+            text += f" of the {len(there)} devices that it could"
+        if set(names) != set(job.devices or ()):
+            note(f"IMUPoser sees {text}; --devices chooses others")
+        sets[text] = None
+    return list(sets)

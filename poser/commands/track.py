@@ -85,9 +85,7 @@ def _chosen(recording: Recording, network: str, path: Path, free: bool) -> Recor
     found = estimators.used(network, recording.sensors)
     if network == "imuposer":
         if free and len(found) > estimators.MOST_DEVICES:
-            from poser.comparison import devices_of
-
-            recording = recording.select(devices_of(recording))
+            recording = recording.select(estimators.devices_of(recording.sensors))
             found = estimators.used(network, recording.sensors)
             note(f"{path}: imuposer sees {', '.join(found)}; --sensors chooses others")
         estimators.check_devices(found)

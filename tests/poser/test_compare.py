@@ -15,7 +15,7 @@ from mocap.errors import PoserError
 from mocap.formats.amass import write_motion
 from mocap.formats.native import FORMAT as NATIVE
 from mocap.motion import Motion
-from poser import comparison, motions, player, results
+from poser import comparison, estimators, motions, player, results
 from poser.__main__ import main
 
 FAST = ("--solver", "banded", "--methods", "sop,sip")
@@ -138,18 +138,6 @@ def test_the_online_methods_with_the_shipped_weights(recordings: Path, tmp_path:
     assert methods["hybrid-dip"]["instrumented_deg"] < methods["dip"]["instrumented_deg"]
 
 
-def test_a_recording_that_does_not_serve_a_method_is_compared_by_the_others(
-    recordings: Path, tmp_path: Path
-) -> None:
-    whole = formats.read(recordings / "walk.npz").content
-    assert NATIVE.write is not None
-    NATIVE.write(tmp_path / "legs.npz", whole.select(("left_shank", "right_shank", "pelvis")))
-    words = ["compare", str(tmp_path / "legs.npz"), "-o", str(tmp_path), "--solver", "banded"]
-    assert main(words) == 0
-    record = json.loads((tmp_path / "results.json").read_text())
-    assert set(record["mean"]) == {"sop", "sip", "mean-pose", "nearest-pose"}
-
-
 def test_methods_see_what_they_read_and_no_more() -> None:
     suit = synthesis.recording(short("walk"), (*sensors.SUIT, *sensors.FIVE[2:4]), None, 0)
     job = comparison.Job("suit", suit, ("dip", "imuposer"), suit.sensors, no_skill=False)
@@ -161,7 +149,7 @@ def test_methods_see_what_they_read_and_no_more() -> None:
     two = comparison.Job("two", suit, ("imuposer",), ("head", "pelvis"), no_skill=False)
     assert comparison.run(two).methods["imuposer"].figures["used_sensors"] == ["head"]
     pockets = suit.select(("left_pocket", "right_pocket", "head"))
-    assert comparison.devices_of(pockets) == ("left_pocket", "head")
+    assert estimators.devices_of(pockets.sensors) == ("left_pocket", "head")
     with pytest.raises(PoserError, match="both pockets"):
         comparison.run(comparison.Job("x", suit, ("imuposer",), None, pockets.sensors))
 

@@ -1,0 +1,56 @@
+"""What an earlier comparison left in the output folder: a new one takes its place, nothing is mixed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+
+from poser.comparison import METHODS
+from poser.results import NO_SKILL, SCHEMA
+
+RECORD = "results.json"
+PAGE = (RECORD, "report.html", "worst.png", "joints.png", "errors.png")
+MOTIONS = (*METHODS, *NO_SKILL, "reference")
+
+
+def files_in(folder: Path, subfolders: Iterable[Path]) -> list[Path]:
+    """The files that an earlier comparison wrote: those of its record `results.json`, and the motions in
+    the `subfolders`, where one that was interrupted has left no record.
+
+    Other files are not in it, also not those of the same names in a folder without a record: `poser solve`
+    may have written them.
+    """
+    inside = folder.resolve()
+    found = [p / f"{name}.npz" for p in subfolders if p != folder for name in MOTIONS]
+    listed = _listed(folder)
+    if listed is not None:
+        found += [p for p in listed if p.resolve().is_relative_to(inside)]
+        found += [folder / name for name in PAGE]
+    return sorted({p for p in found if p.is_file()})
+
+
+def remove(found: Iterable[Path], folder: Path) -> None:
+    """Delete the files, and folders inside `folder` that are empty then. Raises OSError where it fails."""
+    for path in found:
+        path.unlink(missing_ok=True)
+        parent = path.parent
+        if parent != folder and parent.is_dir() and not any(parent.iterdir()):
+            parent.rmdir()
+
+
+def _listed(folder: Path) -> list[Path] | None:
+    """The motions that the record names; None where there is no record of a comparison."""
+    try:
+        record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+        if record["schema"] != SCHEMA:
+            return None
+        return [
+            folder / record["motions"][r["name"]] / f"{name}.npz"
+            for r in record["recordings"]
+            if r["methods"]
+            for name in (*r["methods"], "reference")
+            if name in MOTIONS
+        ]
+    except (OSError, ValueError, LookupError, TypeError):
+        return None
