@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from mocap import orientation as ori
+from mocap import sensors as places
 from mocap.errors import PoserError, SensorError
 from mocap.estimator import Estimator, Pose, Sample
 from mocap.orientation import Array
@@ -102,7 +103,8 @@ class AdamState:
 class AdamEstimator:
     """`Estimator` around IMUPoser's: its poses, refined with the samples of their time.
 
-    joint (S,): the joint whose rotation each sensor follows. Raises SensorError for one without a chain.
+    joint (S,): the joint whose rotation each sensor follows. Raises SensorError for one without a chain, and
+    for two sensors on one bone.
     """
 
     def __init__(
@@ -115,6 +117,9 @@ class AdamEstimator:
         odd = [n for n, j in zip(self.sensors, self.joint, strict=True) if j not in CHAINS]
         if odd:
             raise SensorError(f"sensor {', '.join(odd)}: no limb of IMUPoser's refinement")
+        if len(set(self.joint)) < len(self.joint):
+            worn = ", ".join(map(places.describe, self.sensors, self.joint))
+            raise SensorError(f"IMUPoser's refinement takes one sensor a bone, not {worn}")
 
     def init(self) -> AdamState:
         """A fresh state."""

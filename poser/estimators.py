@@ -9,7 +9,11 @@ from typing import TYPE_CHECKING
 from mocap.errors import PoserError, SensorError
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from mocap.estimator import Estimator
+    from mocap.orientation import Array
     from mocap.skeleton import Skeleton
 
 METHODS = ("dip", "imuposer", "imuposer-adam", "hybrid")
@@ -107,12 +111,16 @@ def make(
     weights: Path | None = None,
     window: tuple[int, int] | None = None,
     skeleton: Skeleton | None = None,
+    joint: NDArray[np.int64] | None = None,
+    seat: Array | None = None,
 ) -> Estimator:
     """The estimator of a method for samples at `rate_hz`; its `sensors` are those of `sensors` that it reads.
 
     network: the hybrid's. weights: a file (default: the shipped ones). window: DIP's frames before and
-    after (default: 20,5). skeleton: the wearer's body. IMUPoser may be given all five places: it reads those
-    that are valid at the time. Raises PoserError where something does not fit.
+    after (default: 20,5). skeleton: the wearer's body. joint (S,), seat (S,3) m: where `sensors` sit, for the
+    hybrid and for Adam (default: the table of places); networks know places by their names alone. IMUPoser
+    may be given all five places: it reads those that are valid at the time. Raises PoserError where something
+    does not fit.
     """
     which = network_of(method, network)
     found = used(which, sensors)
@@ -132,12 +140,16 @@ def make(
         assert isinstance(model, Imuposer)
         place = tuple(places.FIVE.index(p) for p in found)
         estimator = online.imuposer(model, rate_hz, names, place, skeleton, precision)
+    if method not in ("imuposer-adam", "hybrid", "hybrid-dip", "hybrid-imuposer"):
+        return estimator
+    read = [list(sensors).index(n) for n in names]
+    table_joint, table_seat = places.joints_and_seats(names)
+    joint = table_joint if joint is None else joint[read]
     if method == "imuposer-adam":
         from learned.refine import AdamEstimator
 
-        return AdamEstimator(estimator, tuple(places.lookup(p).joint for p in found))
-    if method.startswith("hybrid"):
-        from hybrid import Tracker
+        return AdamEstimator(estimator, tuple(joint.tolist()))
+    from hybrid import Tracker
 
-        return Tracker(estimator, skeleton=skeleton)
-    return estimator
+    seat = table_seat if seat is None else seat[read]
+    return Tracker(estimator, skeleton=skeleton, joint=joint, seat=seat)

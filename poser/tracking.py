@@ -64,6 +64,7 @@ def track(
     estimator = make(
         method, recording.rate_hz, recording.sensors,
         network=network, weights=weights, window=window, skeleton=skeleton,
+        joint=recording.joint, seat=recording.placement,
     )  # fmt: skip
     run = replay(estimator, recording, lambda share: progress(share, method), skeleton)
     return Tracked(run, method, network, estimator.look_ahead_frames, estimator.sensors)

@@ -113,5 +113,7 @@ def test_poses_meet_the_samples_of_their_time(rng: np.random.Generator) -> None:
 def test_what_cannot_be() -> None:
     with pytest.raises(PoserError, match="head"):
         AdamEstimator(Late(), (18, 9))
+    with pytest.raises(PoserError, match=r"one sensor a bone, not left_wrist \(left_elbow\), head"):
+        AdamEstimator(Late(), (18, 18))
     with pytest.raises(PoserError, match="rate"):
         AdamSettings(learning_rate=0.0)

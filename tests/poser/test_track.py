@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +13,14 @@ import numpy as np
 import pytest
 import torch
 
+from hybrid import Tracker
 from learned import checkpoint
 from learned.models import build, for_network
+from learned.refine import AdamEstimator
 from mocap import Skeleton, sensors, synthesis
 from mocap.errors import PoserError
 from mocap.formats.native import FORMAT
-from poser import estimators, files, motions
+from poser import estimators, files, motions, tracking
 from poser.commands import track
 
 
@@ -172,6 +175,36 @@ def test_all_five_places_may_be_given_where_devices_come_and_go(place: Path) -> 
     assert made.sensors == sensors.FIVE
     with pytest.raises(PoserError, match="window"):
         estimators.make("imuposer", 30.0, sensors.FIVE, weights=weights, window=(20, 5))
+
+
+def test_the_hybrid_and_adam_know_where_the_recordings_sensors_sit(place: Path) -> None:
+    recording = files.recording(place / "five.npz")
+    names = ("right_wrist", "head", "left_wrist")
+    recording = replace(recording.select(names), joint=np.array([18, 15, 19]), placement=None)
+    recording = replace(recording, placement=np.arange(9).reshape(3, 3) / 10)
+    given = {"weights": place / "imuposer.safetensors", "network": "imuposer"}
+    for joint, seat in ((recording.joint, recording.placement), (None, None)):
+        hybrid = estimators.make("hybrid", 25.0, names, **given, joint=joint, seat=seat)  # type: ignore[arg-type]
+        adam = estimators.make("imuposer-adam", 25.0, names, **given, joint=joint)  # type: ignore[arg-type]
+        assert isinstance(hybrid, Tracker) and isinstance(adam, AdamEstimator)
+        assert hybrid.sensors == adam.sensors == ("left_wrist", "right_wrist", "head")
+        # In the network's order, which is not the recording's.
+        own = [19, 18, 15] if joint is not None else [18, 19, 15]
+        assert list(adam.joint) == list(hybrid.refinement.joint) == own
+        table = sensors.joints_and_seats(hybrid.sensors)[1]
+        seats = recording.placement[[2, 0, 1]] if seat is not None else table
+        np.testing.assert_array_equal(hybrid.refinement.kinematics.seat, seats)
+    with pytest.raises(PoserError, match="no limb"):
+        tracking.track(
+            replace(recording, joint=np.array([9, 15, 19])), "imuposer-adam", "imuposer",
+            weights=given["weights"],
+        )  # fmt: skip
+    moved = replace(recording, joint=np.array([19, 15, 18]))
+    a, b = (
+        tracking.track(r, "hybrid", "imuposer", weights=given["weights"]).run.motion
+        for r in (recording, moved)
+    )
+    assert np.abs(a.R_parent_joint - b.R_parent_joint).max() > 0.1
 
 
 def test_windows_as_words() -> None:
