@@ -14,17 +14,18 @@ from learned.models import Config, for_network
 class TrainSettings:
     """A training run.
 
-    steps: optimizer steps, at most. batch, frames: windows per step and their length. learning_rate,
-    decay, decay_steps: the rate is learning_rate * decay ** (step / decay_steps). clip: gradient norm.
-    cooldown: the last share of the steps over which the rate falls linearly to zero as well (0: none, as
-    in the papers). average: decay of the running mean of the weights that is validated and shipped
-    (0: the weights themselves). reconstruct_acc: DIP's second loss (eq. 5). patience: validations without
-    a better loss after which training stops early (0: never). every: steps between validations. bfloat16:
-    mixed precision. minutes: stop after this long (None: no limit), the cooldown following the clock then.
+    steps: optimizer steps, at most (None: the clock alone decides). batch, frames: windows per step and
+    their length. learning_rate, decay, decay_steps: the rate is learning_rate * decay ** (step /
+    decay_steps). clip: gradient norm. cooldown: the last share of the steps over which the rate falls
+    linearly to zero as well (0: none, as in the papers). average: decay of the running mean of the
+    weights that is validated and shipped (0: the weights themselves). reconstruct_acc: DIP's second loss
+    (eq. 5). patience: validations without a lesser pose error (`learned.train.pose_error`) after which
+    training stops early (0: never). every: steps between validations. bfloat16: mixed precision. minutes:
+    stop after this long (None: no limit), the cooldown following the clock then.
     """
 
     config: Config = field(default_factory=Config)
-    steps: int = 100_000
+    steps: int | None = 100_000
     batch: int = 16
     frames: int = 60
     learning_rate: float = 1e-3
@@ -43,8 +44,11 @@ class TrainSettings:
 
     def __post_init__(self) -> None:
         for name in ("steps", "batch", "every", "decay_steps"):
-            if getattr(self, name) < 1:
-                raise TrainingError(f"{name} must be 1 or more, got {getattr(self, name)}")
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise TrainingError(f"{name} must be 1 or more, got {value}")
+        if self.steps is None and self.minutes is None:
+            raise TrainingError("steps or minutes must say when the run ends")
         if self.frames < 8:
             raise TrainingError(f"frames must be 8 or more, got {self.frames}")
         for name in ("learning_rate", "decay", "clip"):

@@ -1,9 +1,9 @@
 """Training: windows in, checkpoints and a log out; it can be killed at any point and resumed.
 
-A run lives in a folder: `state.pt` (everything needed to go on, replaced as a whole), `log.jsonl` (one line
-per validation), `best.safetensors` with its JSON (the weights of the best validation loss so far). A
-resumed run draws what the uninterrupted one would have drawn; with several processes (`learned.parallel`)
-the others than the first draw anew from their rank and the step.
+A run lives in a folder (`learned.run_folder`): `state.pt` (everything needed to go on, replaced as a whole),
+`log.jsonl` (one line per validation), `best.safetensors` with its JSON (the weights of the least `pose_error`
+so far). A resumed run draws what the uninterrupted one would have drawn; with several processes
+(`learned.parallel`) the others than the first draw anew from their rank and the step.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import copy
 import json
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, Protocol
@@ -22,15 +22,15 @@ import torch
 from torch import Tensor
 
 from learned import checkpoint, losses
-from learned.errors import TrainingError
+from learned.errors import CheckpointError, TrainingError
 from learned.features import COMBINATIONS, dip_target, imuposer_input
 from learned.interrupts import Interrupts
 from learned.models import Dip, Model, build
 from learned.parallel import World
+from learned.run_folder import Identity, RunFolder, fingerprint
 from learned.settings import TrainSettings
 from learned.validation import Windowed, score
 from learned.virtual import Batch
-from mocap.formats._files import write_aside
 from mocap.skeleton import Skeleton
 
 SAVE_EVERY_S = 60.0
@@ -47,11 +47,21 @@ class Source(Protocol):
 Progress = Callable[[dict[str, Any]], None]
 
 
+def pose_error(figures: Mapping[str, Any], prefix: str = "") -> float:
+    """What the best weights have least of: position_cm + angular_deg of `learned.validation.figures`.
+
+    A degree about a joint moves what is 57 cm away, a limb's length, by 1 cm: the two weigh alike. The
+    loss does not measure poses: it can rise while all pose errors still fall (docs/training.md).
+    """
+    return float(figures[f"{prefix}position_cm"] + figures[f"{prefix}angular_deg"])
+
+
 class Trainer:
     """One run. `run()` goes on until it is done and returns the path of the best weights.
 
-    data: names what the windows are cut from (`corpus.key_of`); a run is not resumed on other data.
-    start: a trained model to go on from, scalers included.
+    data: names what the windows are cut from (`corpus.key_of`). start: a trained model to go on from,
+    scalers included. A run is resumed neither on other data nor from another start. earlier: what was set
+    aside where the folder held a run that cannot be gone on with.
     """
 
     def __init__(
@@ -66,7 +76,8 @@ class Trainer:
         data: str = "",
     ) -> None:
         self.settings, self.source, self.validation = settings, source, validation
-        self.folder, self.about, self.data = folder, about or {}, data
+        self.files, self.about = RunFolder(folder), about or {}
+        self.identity = Identity(settings, data, fingerprint(start))
         self.world = world or World()
         self.device = torch.device(self.world.device)
         self.step, self.seconds, self.best, self.since_best = 0, 0.0, math.inf, 0
@@ -81,16 +92,18 @@ class Trainer:
         self.offsets = torch.as_tensor(
             np.array(Skeleton.default().offsets), dtype=torch.float32
         ).to(self.device)
-        self.state_path = folder / "state.pt"
-        resumed = self.state_path.exists()
+        resumed = self.files.state.exists()
         if start is None and not resumed and isinstance(self.model, Dip):
             self._fit_scalers(self.model)
         self._seed()
         self.average = copy.deepcopy(self.model).eval().requires_grad_(False)
         self.optimizer = torch.optim.Adam(self.model.parameters(), lr=settings.learning_rate)
         folder.mkdir(parents=True, exist_ok=True)
+        self.earlier: list[Path] = []
         if resumed:
             self._resume()
+        elif self.world.first:
+            self.earlier = self.files.set_aside()
         self.called = self.world.wrapped(self.model)
 
     def _fit_scalers(self, model: Dip) -> None:
@@ -132,14 +145,13 @@ class Trainer:
             self._save()
         if verdict == _STOP:
             raise KeyboardInterrupt
-        return self.folder / "best.safetensors"
+        return self.files.best
 
     def done(self) -> float:
         """Share of the run that is over, by steps or by time, whichever is further."""
-        by_steps = self.step / self.settings.steps
-        if self.settings.minutes is None:
-            return by_steps
-        return max(by_steps, self.seconds / (60 * self.settings.minutes))
+        steps, minutes = self.settings.steps, self.settings.minutes
+        by_steps = 0.0 if steps is None else self.step / steps
+        return by_steps if minutes is None else max(by_steps, self.seconds / (60 * minutes))
 
     def stale(self) -> bool:
         """Whether validation has not improved for long enough to stop."""
@@ -205,19 +217,19 @@ class Trainer:
             raise
         finally:
             interrupts.may_break = False
+        error = pose_error(found)
         row = {
             "step": self.step, "seconds": round(self.seconds, 1),
             "training_loss": self.loss_sum / max(1, self.loss_count),
             "rate": self.optimizer.param_groups[0]["lr"],
         } | {f"validation_{k}": v for k, v in found.items()}  # fmt: skip
-        if found["loss"] < self.best:
-            self.best, self.since_best = found["loss"], 0
+        if error < self.best:
+            self.best, self.since_best = error, 0
             about = self.about | {"training": self.settings.to_json(), "validation": row}
-            checkpoint.save(model, self.folder / "best.safetensors", about)
+            checkpoint.save(model, self.files.best, about)
         else:
             self.since_best += 1
-        with (self.folder / "log.jsonl").open("a") as log:
-            log.write(json.dumps(row) + "\n")
+        self.files.append(row)
         self.validated, self.loss_sum, self.loss_count = self.step, 0.0, 0
         if progress:
             progress(row | {"done": self.done()})
@@ -228,35 +240,22 @@ class Trainer:
         if not self.world.first:
             return
         state = {
-            "settings": json.dumps(self.settings.to_json(), sort_keys=True), "data": self.data,
-            "step": self.step, "seconds": self.seconds, "best": self.best,
+            "step": self.step, "seconds": self.seconds, "best_error": self.best,
             "since_best": self.since_best, "validated": self.validated,
             "loss_sum": self.loss_sum, "loss_count": self.loss_count,
             "model": self.model.state_dict(),
             "average": self.average.state_dict(), "optimizer": self.optimizer.state_dict(),
             "numpy": json.dumps(self.rng.bit_generator.state), "torch": torch.get_rng_state(),
         }  # fmt: skip
-        with write_aside(self.state_path) as aside:
-            torch.save(state, aside)
+        self.files.write(state, self.identity)
 
     def _resume(self) -> None:
-        try:
-            state = torch.load(self.state_path, weights_only=True, map_location="cpu")
-            theirs = _without_limits(state["settings"])
-        except Exception as e:
-            # The file is a pickle of tensors: what breaks in a damaged one cannot be listed.
-            reason = " ".join(str(e).split())[:200]
-            raise TrainingError(f"{self.state_path}: cannot be resumed from ({reason})") from e
-        if theirs != _without_limits(json.dumps(self.settings.to_json())):
-            raise TrainingError(
-                f"{self.folder}: holds a run with other settings; give another folder, or the same settings"
-            )
-        if state.get("data", "") and self.data and state["data"] != self.data:
-            raise TrainingError(
-                f"{self.folder}: holds a run on other motions; give another folder, or the same motions"
-            )
+        state = self.files.read(self.identity)
         self.step, self.seconds = state["step"], state["seconds"]
-        self.best, self.since_best = state["best"], state["since_best"]
+        if "best_error" in state:
+            self.best, self.since_best = state["best_error"], state["since_best"]
+        else:  # an earlier version, which chose by the loss: its choice is the one to beat
+            self.best = self._error_of_best()
         # Earlier versions saved right after a validation or between two: then nothing is due.
         self.validated = state.get("validated", self.step)
         self.loss_sum, self.loss_count = state.get("loss_sum", 0.0), state.get("loss_count", 0)
@@ -268,21 +267,11 @@ class Trainer:
             return
         self.rng.bit_generator.state = json.loads(state["numpy"])
         torch.set_rng_state(state["torch"])
-        self._cut_log()
+        self.files.cut_log(self.validated)
 
-    def _cut_log(self) -> None:
-        """Lines of steps after the saved validation were written by a run that was killed: redone now."""
-        log = self.folder / "log.jsonl"
-        if log.exists():
-            rows = [line for line in log.read_text().splitlines() if line.endswith("}")]
-            with write_aside(log) as aside:
-                kept = [r for r in rows if json.loads(r)["step"] <= self.validated]
-                aside.write_text("".join(r + "\n" for r in kept))
-
-
-def _without_limits(settings: str) -> dict[str, Any]:
-    """Settings that may change when a run goes on are left out: how long it may take."""
-    out: dict[str, Any] = json.loads(settings)
-    for name in ("steps", "minutes", "patience"):
-        out.pop(name)
-    return out
+    def _error_of_best(self) -> float:
+        """`pose_error` of the best weights in the folder, infinite where there are none."""
+        try:
+            return pose_error(checkpoint.describe(self.files.best)["validation"], "validation_")
+        except (CheckpointError, KeyError):
+            return math.inf

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from mocap.errors import PoserError
 from poser import files, options
-from poser.console import DONE, INTERRUPTED, complain, emit, progress, say
+from poser.console import DONE, INTERRUPTED, complain, emit, note, progress, say
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -41,8 +41,9 @@ def add_run(parser: ArgumentParser) -> None:
     run = parser.add_argument_group("the run")
     run.add_argument("--steps", type=count, metavar="N", help="optimizer steps, at most")
     run.add_argument(
-        "--minutes", type=options.positive, metavar="M", help="minutes of training, at most"
-    )
+        "--minutes", type=options.positive, metavar="M",
+        help="minutes of training, at most; without --steps the clock alone decides",
+    )  # fmt: skip
     run.add_argument("--batch", type=count, metavar="N", help="windows per step")
     run.add_argument("--frames", type=count, metavar="N", help="frames of a window")
     run.add_argument(
@@ -68,13 +69,16 @@ def add_run(parser: ArgumentParser) -> None:
 
 
 def changes(args: Namespace) -> dict[str, Any]:
-    """Settings that the options state, under the names of `TrainSettings`."""
+    """Settings that the options state, under the names of `TrainSettings`; minutes alone lift the limit
+    of steps.
+    """
     names = {
         "steps": "steps", "minutes": "minutes", "batch": "batch", "frames": "frames",
         "speed": "learning_rate", "every": "every", "seed": "seed",
     }  # fmt: skip
     stated = {field: getattr(args, option) for option, field in names.items()}
-    return {field: value for field, value in stated.items() if value is not None}
+    found = {field: value for field, value in stated.items() if value is not None}
+    return {"steps": None} | found if "minutes" in found else found
 
 
 def check_outputs(args: Namespace, inputs: Sequence[Path]) -> None:
@@ -92,6 +96,9 @@ def execute(trainer: Trainer, windows: Windowed, args: Namespace, extra: dict[st
     """Run, export, draw, report. Ctrl-C leaves a state to go on from and gives 130."""
     first = trainer.world.first
     begun = trainer.step
+    if trainer.earlier:
+        names = ", ".join(p.name for p in trainer.earlier)
+        note(f"{args.output}: an earlier run there left no state to go on from; kept as {names}")
     if begun and first and not args.json:
         say(f"{args.output}: goes on at step {begun}")
     try:
@@ -113,11 +120,13 @@ def execute(trainer: Trainer, windows: Windowed, args: Namespace, extra: dict[st
         from poser import pictures
 
         pictures.save(draw_log(log), args.plot)
+    from learned import checkpoint
+
     record: dict[str, Any] = {
         "network": trainer.settings.config.network, "folder": str(args.output), "weights": str(best),
         "step": trainer.step, "begun_at_step": begun, "seconds": trainer.seconds,
         "stopped": "no better for long" if trainer.stale() else "done",
-        "validation": _best_row(log), "settings": trainer.settings.to_json(),
+        "validation": checkpoint.describe(best)["validation"], "settings": trainer.settings.to_json(),
     } | extra  # fmt: skip
     if args.export:
         from learned.export import export
@@ -127,7 +136,7 @@ def execute(trainer: Trainer, windows: Windowed, args: Namespace, extra: dict[st
     if args.json:
         emit(record)
     else:
-        say(f"{best}: {_figures(record['validation'])}, step {record['validation'].get('step')}")
+        say(f"{best}: {_figures(record['validation'])}, step {record['validation']['step']}")
         if args.export:
             say(f"{args.export}: {_figures(record['exported_validation'])}, half precision")
     return DONE
@@ -153,10 +162,8 @@ def _minutes(seconds: float) -> str:
 
 
 def _figures(row: dict[str, Any]) -> str:
-    """`validation 12.3 deg sip, 10.1 deg, 5.4 cm, loss 0.123` of a log row or a description."""
+    """`validation sip 12.3 deg, angular 10.1 deg, ...` of a log row or a description."""
     get = {k.removeprefix("validation_"): v for k, v in row.items()}
-    if "sip_deg" not in get:
-        return "not validated"
     return (
         f"validation sip {get['sip_deg']:.1f} deg, angular {get['angular_deg']:.1f} deg, "
         f"position {get['position_cm']:.1f} cm, loss {get['loss']:.3f}"
@@ -169,10 +176,6 @@ def read_log(folder: Path) -> list[dict[str, Any]]:
     if not path.exists():
         return []
     return [json.loads(line) for line in path.read_text().splitlines() if line.endswith("}")]
-
-
-def _best_row(log: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    return dict(min(log, key=lambda r: r["validation_loss"], default={}))
 
 
 def draw_log(log: Sequence[dict[str, Any]]) -> Figure:

@@ -38,8 +38,9 @@ def test_rate_decays_and_cools_down() -> None:
         ({"average": 1.0}, "average must lie in"),
         ({"cooldown": 2.0}, "cooldown must lie in"),
         ({"minutes": 0.0}, "minutes must be above zero"),
+        ({"steps": None}, "steps or minutes must say when the run ends"),
     ],
 )
-def test_refusals(changes: dict[str, float], said: str) -> None:
+def test_refusals(changes: dict[str, float | None], said: str) -> None:
     with pytest.raises(TrainingError, match=said):
         TrainSettings(**changes)  # type: ignore[arg-type]

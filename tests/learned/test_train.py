@@ -19,7 +19,7 @@ from learned.errors import TrainingError
 from learned.features import DIP_JOINTS
 from learned.kinematics import angle_between
 from learned.models import Dip, build, for_network
-from learned.train import Trainer
+from learned.train import Trainer, pose_error
 from learned.validation import score
 from mocap.errors import PoserError
 from tests.learned.swing import tiny, trainer, validation, wavy, windows
@@ -58,9 +58,10 @@ def test_a_run_leaves_weights_a_state_and_a_log(tmp_path: Path, network: str) ->
     assert [r["step"] for r in told if "validation_loss" in r] == [5, 10, 12]
     best = checkpoint.load(path, network)
     record = checkpoint.describe(path)
-    found = score(best, t.validation)["loss"]
-    assert found == pytest.approx(min(r["validation_loss"] for r in log(tmp_path)), rel=1e-5)
-    assert record["validation"]["validation_loss"] == pytest.approx(found, rel=1e-5)
+    found = pose_error(score(best, t.validation))
+    least = min(pose_error(r, "validation_") for r in log(tmp_path))
+    assert found == pytest.approx(least, rel=1e-5)
+    assert pose_error(record["validation"], "validation_") == pytest.approx(found, rel=1e-5)
     assert sorted(p.name for p in tmp_path.iterdir()) == [
         "best.json", "best.safetensors", "log.jsonl", "state.pt",
     ]  # fmt: skip
@@ -209,10 +210,77 @@ def test_patience_stops_early(tmp_path: Path) -> None:
     assert t.step == 2 and t.stale()
 
 
-def test_minutes_stop_and_validate(tmp_path: Path) -> None:
-    t = trainer(tmp_path, tiny(steps=10_000, minutes=1e-3))
+def figures(loss: float, degrees: float, cm: float) -> dict[str, float]:
+    return {"loss": loss, "sip_deg": degrees, "angular_deg": degrees, "position_cm": cm}
+
+
+SCRIPT = [figures(0.2, 30.0, 9.0), figures(0.1, 28.0, 8.0), figures(0.3, 24.0, 7.0)]
+SCRIPT += [figures(0.4, 24.0, 7.5)] * 5
+"""Losses that are least at the second validation, pose errors at the third."""
+
+
+def test_the_best_weights_have_the_least_pose_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not the least loss; early stopping counts the validations without a lesser one."""
+    script = iter(SCRIPT)
+    monkeypatch.setattr(module, "score", lambda *a: next(script))
+    t = trainer(tmp_path, tiny(steps=100, every=1, patience=2))
     t.run()
-    assert 0.06 <= t.seconds < 5 and t.step < 10_000
+    assert checkpoint.describe(tmp_path / "best.safetensors")["validation"]["step"] == 3
+    assert t.best == 31.0
+    assert t.step == 5 and t.stale()
+
+
+def test_a_state_of_an_earlier_version_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It chose by the loss and did not say how it began: the weights it chose are the ones to beat."""
+    script = iter(SCRIPT)
+    monkeypatch.setattr(module, "score", lambda *a: next(script))
+    trainer(tmp_path, tiny(steps=2, every=1)).run()
+    state = torch.load(tmp_path / "state.pt", weights_only=True)
+    state["best"] = 0.1  # the loss
+    del state["best_error"], state["start"]
+    torch.save(state, tmp_path / "state.pt")
+    resumed = trainer(tmp_path, tiny(steps=4, every=1), start=build(tiny().config))
+    assert (resumed.step, resumed.best) == (2, 36.0)
+    resumed.run()
+    assert checkpoint.describe(tmp_path / "best.safetensors")["validation"]["step"] == 3
+    assert resumed.since_best == 1
+
+
+def test_a_run_begun_with_other_weights_is_refused(tmp_path: Path) -> None:
+    torch.manual_seed(3)
+    start, other = build(tiny().config), build(tiny().config)
+    trainer(tmp_path / "a", start=start).run()
+    assert trainer(tmp_path / "a", start=start).step == 12
+    for wrong in (other, None):
+        with pytest.raises(TrainingError, match="holds a run that began with other weights"):
+            trainer(tmp_path / "a", start=wrong)
+    trainer(tmp_path / "b").run()
+    with pytest.raises(TrainingError, match="holds a run that began with other weights"):
+        trainer(tmp_path / "b", start=start)
+
+
+def test_a_run_begun_anew_keeps_the_earlier_log_and_weights(tmp_path: Path) -> None:
+    """Twice over: neither is lost, and the new log has the rows of the new run alone."""
+    trainer(tmp_path).run()
+    first = {n: (tmp_path / n).read_bytes() for n in ("log.jsonl", "best.safetensors", "best.json")}
+    for k in (1, 2):
+        (tmp_path / "state.pt").unlink()
+        t = trainer(tmp_path, tiny(steps=5, seed=k))
+        assert sorted(p.name for p in t.earlier) == sorted(f"{n}.{k}" for n in first)
+        t.run()
+        assert [row["step"] for row in log(tmp_path)] == [5]
+    assert {n: (tmp_path / f"{n}.1").read_bytes() for n in first} == first
+    assert trainer(tmp_path, tiny(steps=5, seed=2)).earlier == []
+
+
+def test_minutes_stop_and_validate(tmp_path: Path) -> None:
+    t = trainer(tmp_path, tiny(steps=None, minutes=1e-3))
+    t.run()
+    assert 0.06 <= t.seconds < 5
     assert log(tmp_path)[-1]["step"] == t.step
 
 

@@ -106,6 +106,17 @@ def test_a_motion_found_twice_does_not_validate_what_it_trains(
     assert "clip0-again.npz: would both train and validate" in said
 
 
+def test_a_run_begun_anew_says_what_it_kept(
+    clips: Path, tmp_path: Path, answer: Answer, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["train", "dip", clips, "-o", tmp_path / "r", *SMALL]
+    answer(*words, "--steps", "4")
+    (tmp_path / "r" / "state.pt").unlink()
+    assert main([str(w) for w in [*words, "--steps", "2"]]) == 0
+    assert "kept as log.jsonl.1, best.safetensors.1, best.json.1" in capsys.readouterr().err
+    assert [r["step"] for r in training.read_log(tmp_path / "r")] == [2]
+
+
 def test_options_reach_the_settings(clips: Path, tmp_path: Path, answer: Answer) -> None:
     found = answer(
         "train", "dip", clips, "-o", tmp_path / "r", *SMALL, "--steps", "2", "--architecture", "rnn",
@@ -142,6 +153,9 @@ def test_a_run_with_other_settings_or_motions_is_left_alone(
     state = (tmp_path / "r" / "state.pt").read_bytes()
     assert "other settings" in refusal(*words, "--seed", "1")[1]
     assert "other motions" in refusal(*words, "--share", "0.5")[1]
+    answer("train", "dip", clips, "-o", tmp_path / "other", *SMALL, "--steps", "2", "--seed", "5")
+    start = tmp_path / "other" / "best.safetensors"
+    assert "began with other weights" in refusal(*words, "--start", start)[1]
     assert (tmp_path / "r" / "state.pt").read_bytes() == state
 
 
@@ -287,6 +301,30 @@ def test_a_recording_given_twice_is_one(
         "--steps", "2", "--start", tmp_path / "a" / "best.safetensors",
     )  # fmt: skip
     assert found["data"]["recordings"] == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "steps"),
+    [([], 2000), (["--minutes", "30"], None), (["--minutes", "30", "--steps", "7"], 7)],
+)
+def test_with_minutes_alone_the_clock_decides(
+    clips: Path, recordings: Path, tmp_path: Path, answer: Answer, monkeypatch: pytest.MonkeyPatch,
+    words: list[str], steps: int | None,
+) -> None:  # fmt: skip
+    """Of the default of 2,000 steps nothing is left then: not even its share of the progress."""
+    seen = []
+
+    def first_step(self: train.Trainer, progress: Any = None) -> Path:
+        self.step, self.seconds = 5, 60.0
+        seen.append((self.settings.steps, self.done()))
+        raise KeyboardInterrupt
+
+    answer("train", "dip", clips, "-o", tmp_path / "a", *SMALL, "--steps", "2")
+    monkeypatch.setattr(train.Trainer, "run", first_step)
+    line = ["finetune", "dip", recordings, "-o", tmp_path / "b", "--frames", "12", *words]
+    assert main([str(w) for w in [*line, "--start", tmp_path / "a" / "best.safetensors"]]) == 130
+    share = {None: 1 / 30, 7: 5 / 7, 2000: 5 / 2000}[steps]
+    assert seen == [(steps, pytest.approx(share))]
 
 
 def test_what_cannot_be_fine_tuned_on(

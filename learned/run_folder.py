@@ -1,0 +1,122 @@
+"""What a run keeps in its folder: a state to go on from, a log, the best weights; and whose they are."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from learned.errors import TrainingError
+from learned.models import Model
+from learned.settings import TrainSettings
+from mocap.formats._files import write_aside
+
+LIMITS = ("steps", "minutes", "patience")  # settings that may change when a run goes on
+
+
+def fingerprint(model: Model | None) -> str:
+    """16 hexadecimal digits that change with any weight of a model; empty for none."""
+    if model is None:
+        return ""
+    digest = hashlib.sha256()
+    for name, tensor in sorted(model.state_dict().items()):
+        digest.update(name.encode() + tensor.detach().cpu().contiguous().numpy().tobytes())
+    return digest.hexdigest()[:16]
+
+
+@dataclass(frozen=True)
+class Identity:
+    """What a run must share with the one that it goes on with.
+
+    data: names what the windows are cut from (`corpus.key_of`); start: `fingerprint` of the weights that
+    the run began with. Either may be empty: of no name, of no weights.
+    """
+
+    settings: TrainSettings
+    data: str
+    start: str
+
+    def to_state(self) -> dict[str, str]:
+        """As `RunFolder.read` compares it."""
+        settings = json.dumps(self.settings.to_json(), sort_keys=True)
+        return {"settings": settings, "data": self.data, "start": self.start}
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """The files of a run."""
+
+    path: Path
+
+    @property
+    def state(self) -> Path:
+        return self.path / "state.pt"
+
+    @property
+    def log(self) -> Path:
+        return self.path / "log.jsonl"
+
+    @property
+    def best(self) -> Path:
+        return self.path / "best.safetensors"
+
+    def set_aside(self) -> list[Path]:
+        """Rename log and weights of a run that left no state to go on from, as `log.jsonl.1` or with the next
+        number that is free. Returns the new paths; none where there was nothing.
+        """
+        left = [p for p in (self.log, self.best, self.best.with_suffix(".json")) if p.exists()]
+        k = 1
+        while any(p.with_name(f"{p.name}.{k}").exists() for p in left):
+            k += 1
+        return [p.rename(p.with_name(f"{p.name}.{k}")) for p in left]
+
+    def write(self, state: dict[str, Any], identity: Identity) -> None:
+        """The state as a whole, in place of the one before."""
+        with write_aside(self.state) as aside:
+            torch.save(state | identity.to_state(), aside)
+
+    def read(self, identity: Identity) -> dict[str, Any]:
+        """The state. Raises TrainingError where it is damaged or of another run.
+
+        Earlier versions wrote no `start`: such a state fits any.
+        """
+        try:
+            state: dict[str, Any] = torch.load(self.state, weights_only=True, map_location="cpu")
+            settings = _without_limits(state["settings"])
+        except Exception as e:
+            # The file is a pickle of tensors: what breaks in a damaged one cannot be listed.
+            reason = " ".join(str(e).split())[:200]
+            raise TrainingError(f"{self.state}: cannot be resumed from ({reason})") from e
+        mine = identity.to_state()
+        if settings != _without_limits(mine["settings"]):
+            raise self._other("with other settings", "the same settings")
+        if state.get("data", "") and mine["data"] and state["data"] != mine["data"]:
+            raise self._other("on other motions", "the same motions")
+        if state.get("start", mine["start"]) != mine["start"]:
+            raise self._other("that began with other weights", "the same weights to start from")
+        return state
+
+    def _other(self, what: str, same: str) -> TrainingError:
+        return TrainingError(f"{self.path}: holds a run {what}; give another folder, or {same}")
+
+    def append(self, row: dict[str, Any]) -> None:
+        """One line more in the log."""
+        with self.log.open("a") as log:
+            log.write(json.dumps(row) + "\n")
+
+    def cut_log(self, step: int) -> None:
+        """Lines of later steps were written by a run that was killed before it saved: redone now."""
+        if self.log.exists():
+            rows = [line for line in self.log.read_text().splitlines() if line.endswith("}")]
+            with write_aside(self.log) as aside:
+                kept = [r for r in rows if json.loads(r)["step"] <= step]
+                aside.write_text("".join(r + "\n" for r in kept))
+
+
+def _without_limits(settings: str) -> dict[str, Any]:
+    """Settings but for those that may change when a run goes on."""
+    return {k: v for k, v in json.loads(settings).items() if k not in LIMITS}
