@@ -62,7 +62,7 @@ def ways(model: Model) -> dict[str, tuple[runtime.Runtime, bool]]:
         "pruned, layer 2 from 40": (runtime.prepare(model), True),
         "the same, layer 2 from 20": (runtime.prepare(model, reach=20), True),
         "the same, layer 2 from 10": (runtime.prepare(model, reach=10), True),
-        "layer 2 from 40, bfloat16": (runtime.prepare(model, "bfloat16"), True),
+        "pruned, int8": (runtime.prepare(model, "int8", reach=1000), True),
         "layer 2 from 40, int8 (default)": (runtime.prepare(model, "int8"), True),
     }
     quantised = torch.ao.quantization.quantize_dynamic(model, {torch.nn.LSTM}, dtype=torch.qint8)

@@ -2,19 +2,27 @@
 
 A window of T frames whose frame `emit` is answered for needs, of two stacked bidirectional LSTM layers, of
 layer 2 the forward direction only up to `emit` and the backward direction only from the window's end down to
-it; the heads only there. The first layer's input product W x_t + b depends on nothing but frame t: the
-caller keeps these rows from window to window (`rows`). Both are exact. The recurrent states are not kept:
-each window starts from zero, as in training.
+it; the heads only there. What depends on nothing but frame t (the dense layer, and where it is kept in
+float32 the first layer's input product) the caller keeps from window to window (`rows`). Both are exact. The
+recurrent states are not kept: each window starts from zero, as in training.
 
-Layer 1 remembers seconds, layer 2 does not: its states `REACH` frames from `emit` no longer matter (on
-validation recordings 0.0002 degrees; 20 frames 0.001, 10 frames 0.03; `benchmarks/networks.py` measures it).
-Layer 2 therefore begins there, and layer 1's backward direction, which only layer 2 reads, ends there.
+Layer 1 remembers seconds, layer 2 less: `REACH` frames from `emit` its states hardly matter any more
+(`benchmarks/networks.py` measures it). Layer 2 therefore begins there, and layer 1's backward direction,
+which only layer 2 reads, ends there.
+
+A frame waits for the weights to be read from memory. In "int8" they are a quarter: torch's dynamic
+quantisation, one scale per matrix, inputs and states quantised as they come (7 bits, so that sums of products
+cannot overflow where a CPU adds pairs of them in 16 bits). The two directions of a layer do not wait for each
+other: the backward one runs on a second thread.
 """
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import cache
 from typing import Literal, Protocol
 
 import torch
@@ -24,7 +32,7 @@ from torch.nn.functional import linear
 from learned.models import Dip, Imuposer, Model
 from learned.networks.dip import BiRNN, Gaussian
 
-Precision = Literal["float32", "bfloat16", "int8"]
+Precision = Literal["float32", "int8"]
 REACH = 40  # frames of layer 2 before and after the emitted one
 
 
@@ -40,28 +48,30 @@ class Runtime(Protocol):
         ...
 
 
-class Recurrence:
-    """One direction of one LSTM layer: h_t of h_{t-1} and the input's share of the gates.
+class Exact:
+    """One direction of one LSTM layer in float32: h_t of h_{t-1} and the input's share of the gates.
 
     i, f, o = sigmoid, g = tanh of W x_t + b + U h_{t-1}; c_t = f c_{t-1} + i g; h_t = o tanh(c_t)
     (torch.nn.LSTM's equations), from h = c = 0. tanh(z) = 2 sigmoid(2 z) - 1, so the rows of g are doubled
-    here and one sigmoid serves the four gates: a step is a matrix-vector product, which waits for memory,
-    and few calls besides.
+    here and one sigmoid serves the four gates.
     """
 
-    def __init__(self, lstm: nn.LSTM, name: str, precision: Precision) -> None:
+    def __init__(self, lstm: nn.LSTM, name: str) -> None:
         H = lstm.hidden_size
         doubled = torch.ones(4 * H, 1)
         doubled[2 * H : 3 * H] = 2.0
-        W, U = (getattr(lstm, f"weight_{k}_{name}").detach().float() for k in ("ih", "hh"))
-        b = sum(getattr(lstm, f"bias_{k}_{name}").detach().float() for k in ("ih", "hh"))
+        W, U, b = _weights(lstm, name)
         self.hidden = H
         self.W, self.b = doubled * W, (doubled[:, 0] * b).contiguous()
-        self._product = _product(doubled * U, precision)
+        self._U = (doubled * U).contiguous()
 
-    def run(self, shares: Tensor) -> Tensor:
+    def run(self, x: Tensor) -> Tensor:
+        """h (T,H) of inputs x (T,D), in the order given."""
+        return self.run_shares(linear(x, self.W, self.b))
+
+    def run_shares(self, shares: Tensor) -> Tensor:
         """h (T,H), in the order given, of the input's shares W x + b (T,4H)."""
-        H, product = self.hidden, self._product
+        H = self.hidden
         h, c, tanh_c = torch.empty(len(shares), H), torch.zeros(H), torch.empty(H)
         z = torch.empty(4 * H)
         i, f, g, o = z.split(H)
@@ -69,7 +79,7 @@ class Recurrence:
             if t == 0:  # from zero state: no product
                 z.copy_(share)
             else:
-                product(share, h[t - 1], z)
+                torch.addmv(share, self._U, h[t - 1], out=z)
             z.sigmoid_()
             c.mul_(f).addcmul_(i, g, value=2.0).sub_(i)
             torch.tanh(c, out=tanh_c)
@@ -77,32 +87,34 @@ class Recurrence:
         return h
 
 
-def _product(U: Tensor, precision: Precision) -> Callable[[Tensor, Tensor, Tensor], object]:
-    """share, h, out -> out = share + U h, U kept at a precision."""
-    if precision == "float32":
-        exact = U.contiguous()
-        return lambda share, h, out: torch.addmv(share, exact, h, out=out)
-    if precision == "bfloat16":
-        half = U.bfloat16().contiguous()
-        return lambda share, h, out: torch.add(share, torch.mv(half, h.bfloat16()), out=out)
-    # A scale for each row of U, symmetric; h is quantised at each step, by the kernel, to 7 bits, so that
-    # sums of products cannot overflow where a CPU adds pairs of them in 16 bits.
-    scale = U.abs().amax(1).clamp_min(1e-12).double() / 127
-    zero = torch.zeros(len(U), dtype=torch.int64)
-    with warnings.catch_warnings():  # torch announces that it will go; see `fastest`
-        warnings.simplefilter("ignore")
-        quantised = torch.quantize_per_channel(U, scale, zero, 0, torch.qint8)
-    packed = torch.ops.quantized.linear_prepack(quantised, None)
-    apply = torch.ops.quantized.linear_dynamic
-    return lambda share, h, out: torch.add(share, apply(h.unsqueeze(0), packed, True)[0], out=out)
+class Int8:
+    """One direction of one LSTM layer by torch's dynamically quantised kernel; h (T,H) of x (T,D)."""
+
+    def __init__(self, lstm: nn.LSTM, name: str) -> None:
+        W, U, b = _weights(lstm, name)
+        alone = nn.LSTM(W.shape[1], lstm.hidden_size, batch_first=True)
+        alone.weight_ih_l0.data, alone.weight_hh_l0.data = W, U
+        alone.bias_ih_l0.data, alone.bias_hh_l0.data = b, torch.zeros_like(b)
+        with warnings.catch_warnings():  # torch announces that it will go; see `fastest`
+            warnings.simplefilter("ignore")
+            (self._lstm,) = torch.ao.quantization.quantize_dynamic(
+                nn.Sequential(alone), {nn.LSTM}, dtype=torch.qint8
+            )
+
+    def run(self, x: Tensor) -> Tensor:
+        h: Tensor = self._lstm(x[None])[0][0]
+        return h
+
+
+def _weights(lstm: nn.LSTM, name: str) -> tuple[Tensor, Tensor, Tensor]:
+    """W (4H,D), U (4H,H) and the sum of both biases (4H,) of a layer and direction as `l0_reverse`."""
+    W, U = (getattr(lstm, f"weight_{k}_{name}").detach().float() for k in ("ih", "hh"))
+    b_ih, b_hh = (getattr(lstm, f"bias_{k}_{name}").detach().float() for k in ("ih", "hh"))
+    return W.contiguous(), U.contiguous(), b_ih + b_hh
 
 
 class TwoLayers:
-    """`Runtime` of BiRNN (either number of directions) and IMUPoser.
-
-    precision: of the recurrent matrices, whose reading is what a frame waits for; "bfloat16" halves it,
-    "int8" quarters it, at prices that `benchmarks/networks.py` states in degrees. reach: of layer 2, frames.
-    """
+    """`Runtime` of BiRNN (either number of directions) and IMUPoser; reach: of layer 2, frames."""
 
     def __init__(
         self,
@@ -113,30 +125,55 @@ class TwoLayers:
     ) -> None:
         self.reach = reach
         sides = ("", "_reverse") if lstm.bidirectional else ("",)
-        self.dense_W, self.dense_b = dense.weight.detach(), dense.bias.detach()
-        self.first = [Recurrence(lstm, f"l0{side}", precision) for side in sides]
-        self.second = [Recurrence(lstm, f"l1{side}", precision) for side in sides]
-        self._W = torch.cat([r.W for r in self.first])
-        self._b = torch.cat([r.b for r in self.first])
+        kind = Int8 if precision == "int8" else Exact
+        self._dense_W, self._dense_b = dense.weight.detach(), dense.bias.detach()
+        self._first: list[Exact | Int8] = [kind(lstm, f"l0{side}") for side in sides]
+        self._second: list[Exact | Int8] = [kind(lstm, f"l1{side}") for side in sides]
+        exact = [r for r in self._first if isinstance(r, Exact)]
+        if exact:
+            self._W = torch.cat([r.W for r in exact])
+            self._b = torch.cat([r.b for r in exact])
+        self._keeps_shares = bool(exact)
 
     def rows(self, x: Tensor) -> Tensor:
-        return linear(torch.relu(linear(x, self.dense_W, self.dense_b)), self._W, self._b)
+        x = torch.relu(linear(x, self._dense_W, self._dense_b))
+        return linear(x, self._W, self._b) if self._keeps_shares else x
 
     def features(self, rows: Tensor, emit: int) -> Tensor:
-        width = 4 * self.first[0].hidden
         begin, end = max(0, emit - self.reach), emit + 1
-        if len(self.first) == 1:
-            h = self.first[0].run(rows[:end])[begin:]
-            (second,) = self.second
-            return second.run(linear(h, second.W, second.b))[-1]
+        if len(self._first) == 1:
+            return self._second[0].run(self._layer_1(0, rows[:end])[begin:])[-1]
         stop = end + self.reach
-        forward = self.first[0].run(rows[:stop, :width])[begin:]
-        backward = self.first[1].run(rows[begin:, width:].flip(0)).flip(0)[: stop - begin]
-        h = torch.cat([forward, backward], -1)
-        ahead, back = self.second
-        past = ahead.run(linear(h[: end - begin], ahead.W, ahead.b))[-1]
-        future = back.run(linear(h[emit - begin :].flip(0), back.W, back.b))[-1]
-        return torch.cat([past, future])
+        backward = _beside(lambda: self._layer_1(1, rows[begin:].flip(0)).flip(0)[: stop - begin])
+        forward = self._layer_1(0, rows[:stop])[begin:]
+        h = torch.cat([forward, backward.result()], -1)
+        ahead, back = self._second
+        future = _beside(lambda: back.run(h[emit - begin :].flip(0))[-1])
+        return torch.cat([ahead.run(h[: end - begin])[-1], future.result()])
+
+    def _layer_1(self, side: int, rows: Tensor) -> Tensor:
+        """h (T,H) of layer 1, in the order given."""
+        layer = self._first[side]
+        if isinstance(layer, Exact):
+            width = 4 * layer.hidden
+            return layer.run_shares(rows[:, side * width : (side + 1) * width])
+        return layer.run(rows)
+
+
+def _beside(work: Callable[[], Tensor]) -> Future[Tensor]:
+    """Begin `work` on this process's second thread."""
+
+    def inferring() -> Tensor:  # the mode belongs to a thread
+        with torch.inference_mode():
+            return work()
+
+    return _second_thread(os.getpid()).submit(inferring)
+
+
+@cache
+def _second_thread(process: int) -> ThreadPoolExecutor:
+    """One for each process: threads do not survive a fork."""
+    return ThreadPoolExecutor(1, thread_name_prefix="backward", initializer=one_thread)
 
 
 class Plain:
@@ -166,13 +203,12 @@ def prepare(model: Model, precision: Precision = "float32", reach: int = REACH) 
 
 def fastest() -> Precision:
     """int8 where this torch and this CPU have its kernels (torch plans to remove them), else float32."""
+    lstm = nn.LSTM(4, 4)
     try:
-        product = _product(torch.eye(8), "int8")
-        found = torch.empty(8)
-        product(torch.zeros(8), torch.ones(8), found)
+        found = Int8(lstm, "l0").run(torch.ones(3, 4))
     except (RuntimeError, AttributeError, NotImplementedError):
         return "float32"
-    return "int8" if torch.allclose(found, torch.ones(8), atol=0.02) else "float32"
+    return "int8" if torch.allclose(found, lstm(torch.ones(3, 4))[0], atol=0.05) else "float32"
 
 
 def gaussian(model: Dip, runtime: Runtime, features: Tensor) -> Gaussian:
@@ -194,7 +230,7 @@ def pose_numbers(model: Imuposer, runtime: Runtime, features: Tensor) -> Tensor:
 def one_thread() -> None:
     """Let torch work on one thread in this process.
 
-    A frame's products are small and follow one another: a second thread gains little on an idle machine,
-    and on a busy one each product waits for whichever thread runs last.
+    A frame's products are small and follow one another: a second thread inside each gains little on an idle
+    machine, and on a busy one each product waits for whichever thread runs last.
     """
     torch.set_num_threads(1)
