@@ -11,6 +11,11 @@ from learned import checkpoint
 from learned.validation import Windowed, calibrate_deviations, score
 from mocap.formats._files import write_aside
 
+PRECISION_ONLINE = (
+    "Online (`poser track`, `live`, `compare`) the LSTM layers run in int8 where the machine has the "
+    "kernels, else in single precision; `python benchmarks/networks.py` measures what that changes, in degrees."
+)
+
 
 def export(best: Path, target: Path, windows: Windowed, about: dict[str, Any]) -> dict[str, Any]:
     """Write `target` (.safetensors), its .json and its .md from a run's best weights.
@@ -60,7 +65,10 @@ def card(name: str, record: dict[str, Any]) -> str:
         "## Validation",
         "",
         "On motions that were not trained on, virtual sensors with the realistic noise unless the data say "
-        "otherwise; root, wrists and feet masked as the field does it.",
+        "otherwise; root, wrists and feet masked as the field does it. Computed in single precision from "
+        "these half-precision matrices.",
+        "",
+        PRECISION_ONLINE,
         "",
         "| figure | value |",
         "|---|---|",

@@ -17,6 +17,7 @@ import pytest
 import torch
 
 from learned import checkpoint, train, validation
+from learned.export import PRECISION_ONLINE
 from mocap import sensors, synthesis
 from mocap.formats.amass import write_motion
 from mocap.formats.native import write_recording
@@ -79,6 +80,8 @@ def test_train_resume_export(
     assert model.config.hidden == 8
     card = weights.with_suffix(".md").read_text()
     assert "motions of the user" in card and "| sip_deg |" in card
+    # The figures are not those of the default runtime: the card says so, and where the difference is told.
+    assert PRECISION_ONLINE in card and "single precision from these half-precision" in card
     record = checkpoint.describe(weights)
     assert record["validation"]["sip_deg"] == again["exported_validation"]["sip_deg"]
     assert (tmp_path / "log.png").read_bytes()[:4] == b"\x89PNG"
