@@ -13,7 +13,8 @@ from mocap.formats._files import write_aside
 
 PRECISION_ONLINE = (
     "Online (`poser track`, `live`, `compare`) the LSTM layers run in int8 where the machine has the "
-    "kernels, else in single precision; `python benchmarks/networks.py` measures what that changes, in degrees."
+    "kernels, else in single precision; `python benchmarks/networks.py` measures what that changes, in "
+    "degrees."
 )
 
 

@@ -100,7 +100,7 @@ def run(args: Namespace) -> int:
     skeleton = Skeleton.default(args.height)
     source = _source(args, network)
     sinks: list[Sink] = []
-    report = loop.Report()
+    report, begun = loop.Report(), False
     try:
         if network == "imuposer" and not args.devices:
             estimators.check_devices(estimators.used(network, source.sensors))
@@ -111,13 +111,14 @@ def run(args: Namespace) -> int:
         for text in args.sink:
             sinks.append(_sink(text, source, skeleton, args))
         source.open()
+        begun = True
         _announce(args, source)
         loop.run(source, estimator, sinks, skeleton, report, telling.Teller(source, sinks).tell)
     finally:
         loop.close(source, sinks, report)
-        if report.samples and args.json:
+        if begun and args.json:
             emit(report.to_dict() | {"method": args.method, "network": network})
-        elif report.samples:
+        elif begun:
             telling.summary(report)
     return DONE
 

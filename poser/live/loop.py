@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from mocap.estimator import Estimator, Pose
+from mocap.estimator import Estimator, Pose, Sample
 from mocap.skeleton import TOES, Skeleton
 from poser.live.latency import Latency
 from poser.live.sinks import Sink
@@ -24,7 +24,8 @@ from poser.live.sources import Source
 class Report:
     """What happened. lag: from the moment a pose describes to its delivery; step: the estimator alone.
 
-    samples, frames: fed and delivered. fallbacks: poses that were one, notes: why, counted.
+    samples, frames: fed and delivered. fallbacks: poses that were one, notes: why, counted. behind_s: how
+    much later than the source's pace the last sample was taken, most_behind_s: the largest of these.
     """
 
     samples: int = 0
@@ -33,6 +34,8 @@ class Report:
     notes: Counter[str] = field(default_factory=Counter)
     lag: Latency = field(default_factory=Latency)
     step: Latency = field(default_factory=Latency)
+    behind_s: float = 0.0
+    most_behind_s: float = 0.0
     source: dict[str, Any] = field(default_factory=dict)
     sinks: dict[str, Any] = field(default_factory=dict)
 
@@ -44,6 +47,7 @@ class Report:
             "notes": dict(self.notes),
             **self.lag.to_dict("latency_ms"),
             **self.step.to_dict("frame_ms"),
+            "behind_s": self.most_behind_s,
             **self.source,
             "sinks": self.sinks,
         }
@@ -57,33 +61,58 @@ def run(
     report: Report,
     tell: Callable[[Report], None] = lambda _: None,
 ) -> None:
-    """Drive the estimator until the source, which is open, ends.
+    """Drive the estimator until the source, which is open, ends; then samples in which nothing is valid
+    follow, as many as the look-ahead, so that the last frames get their poses (no times are taken of these).
 
     `report` is filled as it goes, so that it holds after an interruption too; `close` completes it.
     tell(report) is called once a poll.
     """
     state = estimator.init()
     floor: float | None = None
+    sample: Sample | None = None
+
+    def delivered(pose: Pose) -> None:
+        nonlocal floor
+        if floor is None:
+            floor = _floor(pose, skeleton)
+        _deliver(_raised(pose, -floor), sinks, report)
+
     while not source.ended:
         for sample in source.poll():
+            report.behind_s = source.behind_s(sample.time_s)
+            report.most_behind_s = max(report.most_behind_s, report.behind_s)
             began = time.perf_counter()
             state, pose = estimator.step(state, sample)
             report.step.add(time.perf_counter() - began)
             report.samples += 1
             if pose is None:
                 continue
-            if floor is None:
-                floor = _floor(pose, skeleton)
-            _deliver(_raised(pose, -floor), sinks, source, report)
+            delivered(pose)
+            lag = source.lag_s(pose.time_s)
+            if lag is not None:
+                report.lag.add(lag)
         tell(report)
+    if sample is None:
+        return
+    for k in range(estimator.look_ahead_frames):
+        state, pose = estimator.step(state, _nothing(sample, (k + 1) / source.rate_hz))
+        if pose is not None:
+            delivered(pose)
 
 
-def _deliver(pose: Pose, sinks: Sequence[Sink], source: Source, report: Report) -> None:
+def _nothing(sample: Sample, later_s: float) -> Sample:
+    """A sample some time after another in which nothing was measured."""
+    return Sample(
+        sample.time_s + later_s,
+        np.full_like(sample.R_world_bone, np.nan),
+        np.full_like(sample.acc_world, np.nan),
+        np.zeros_like(sample.valid),
+    )
+
+
+def _deliver(pose: Pose, sinks: Sequence[Sink], report: Report) -> None:
     for sink in sinks:
         sink.write(pose)
-    lag = source.lag_s(pose.time_s)
-    if lag is not None:
-        report.lag.add(lag)
     report.frames += 1
     if pose.note:
         report.fallbacks += 1

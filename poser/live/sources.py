@@ -58,6 +58,10 @@ class Source(Protocol):
         """How long ago in s the moment was that a sample's time names; None where time means nothing."""
         ...
 
+    def behind_s(self, time_s: float) -> float:
+        """How much later in s than its own pace a sample is that is taken now; 0 where there is no pace."""
+        ...
+
     def facts(self) -> dict[str, Any]:
         """What happened so far, for the report."""
         ...
@@ -116,6 +120,9 @@ class Replay:
 
     def lag_s(self, time_s: float) -> float | None:
         return None if self._speed is None or self._began is None else self._lag(time_s)
+
+    def behind_s(self, time_s: float) -> float:
+        return max(0.0, self.lag_s(time_s) or 0.0)
 
     def facts(self) -> dict[str, Any]:
         return {}
@@ -254,6 +261,9 @@ class Network:
     def lag_s(self, time_s: float) -> float | None:
         start = self._assembler.start_s
         return None if start is None else self._clock() - start - time_s
+
+    def behind_s(self, time_s: float) -> float:
+        return max(0.0, (self.lag_s(time_s) or 0.0) - self._assembler.delay_s)
 
     def facts(self) -> dict[str, Any]:
         out: dict[str, Any] = {

@@ -14,6 +14,7 @@ from poser.live.sources import Source
 
 STATUS_S = 1.0
 RECENT = 300  # poses that the line's latency is of
+BEHIND_S = 0.2  # a loop that is later than this has fallen behind; a slow frame is caught up sooner
 
 
 @runtime_checkable
@@ -52,6 +53,8 @@ def status(report: Report, source: Source) -> str:
     words = [f"{report.frames} poses"]
     if p50 is not None and p99 is not None:
         words.append(f"latency {p50:.1f} ms (99 %: {p99:.1f})")
+    if report.behind_s > BEHIND_S:
+        words.append(f"{report.behind_s:.1f} s behind the source")
     facts = source.facts()
     if facts.get("rejected"):
         words.append(f"{sum(facts['rejected'].values())} messages refused")
@@ -85,4 +88,6 @@ def summary(report: Report) -> None:
         p50, p99 = latency.quantile_ms(0.5), latency.quantile_ms(0.99)
         if p50 is not None and p99 is not None:
             say(f"{words}: {p50:.1f} ms in the middle, {p99:.1f} ms for 99 of 100")
+    if report.most_behind_s > BEHIND_S:
+        say(f"fell {report.most_behind_s:.1f} s behind the source, at most")
     say(f"{report.frames} poses of {report.samples} samples")

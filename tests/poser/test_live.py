@@ -57,6 +57,25 @@ def test_the_answer_for_people(live: Path, capsys: pytest.CaptureFixture[str]) -
     assert "per frame: " in said
 
 
+@pytest.mark.parametrize("kind", ["udp", "osc"])
+def test_a_source_that_ends_without_samples_has_a_record_too(
+    live: Path, tmp_path: Path, answer: Any, capsys: pytest.CaptureFixture[str], kind: str
+) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as s:
+        s.bind(("127.0.0.1", 0))
+        port = s.getsockname()[1]
+    out = tmp_path / "m.npz"
+    words = ["live", "--source", f"{kind}:{port}", "--calibration", "bones", "--seconds", "0.1"]
+    facts = answer(*words, "--sink", out)
+    assert (facts["samples"], facts["frames"], facts["behind_s"]) == (0, 0, 0)
+    assert facts["latency_ms_p50"] is facts["frame_ms_p99"] is None
+    assert facts["sinks"] == {str(out): {"frames": 0, "held": 0}}
+    assert facts["devices"]["head"]["received"] == 0
+    assert not out.exists()
+    assert main(words) == 0
+    assert "0 poses of 0 samples" in capsys.readouterr().out
+
+
 def test_the_hybrid_s_network(live: Path, answer: Any, estimators: Any) -> None:  # noqa: F811
     facts = answer("live", "--source", live, "--speed", "max", "--network", "dip")
     assert (facts["method"], facts["network"]) == ("hybrid", "dip")

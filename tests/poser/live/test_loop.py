@@ -15,12 +15,12 @@ import pytest
 
 from mocap import orientation as ori
 from mocap.errors import PoserError
-from mocap.estimator import Pose, samples
+from mocap.estimator import Pose, Sample, replay, samples
 from mocap.formats import read
 from mocap.motion import Motion
 from mocap.recording import Recording
 from mocap.skeleton import Skeleton
-from poser.live import loop, osc, packets
+from poser.live import loop, osc, packets, telling
 from poser.live.addresses import Address
 from poser.live.assembler import Assembler
 from poser.live.sinks import MotionFile
@@ -90,8 +90,59 @@ def test_a_replay_gives_what_the_batch_gives(recording: Recording, speed: float 
 def test_the_look_ahead_counts_as_latency(recording: Recording) -> None:
     clock = Time()
     report = drive(Replay(recording, 1.0, clock, clock.sleep), [], look_ahead=5)
-    assert report.frames == len(recording) - 5
     assert report.lag.quantile_ms(0.5) == pytest.approx(5e3 / 60, abs=3)
+    # The poses that come at the end, pushed out at once, would flatter it.
+    assert len(report.lag) == len(recording) - 5
+    assert (len(report.step), report.samples) == (len(recording), len(recording))
+
+
+@pytest.mark.parametrize("frames", [120, 3])
+def test_the_last_frames_come_out_whatever_the_look_ahead(
+    recording: Recording, frames: int
+) -> None:
+    """As many poses as samples, those of the batch form, even of fewer samples than the look-ahead."""
+    short, sink = recording.slice(0, frames), Collect()
+    report = drive(Replay(short, None), [sink], look_ahead=5)
+    batch = replay(Hold(short.rate_hz, short.sensors, 5), short)
+    assert report.frames == len(sink.poses) == frames
+    R = np.stack([p.R_parent_joint for p in sink.poses])
+    np.testing.assert_allclose(R, batch.motion.R_parent_joint, atol=1e-14)
+    times = [p.time_s for p in sink.poses]
+    np.testing.assert_allclose(times, [s.time_s for s in samples(short)])
+
+
+class Slow(Hold):
+    """Takes its time over each sample, by the test's clock."""
+
+    clock: Time
+    takes_s: float
+
+    def step(self, state: tuple, sample: Sample) -> tuple[tuple, Pose | None]:
+        self.clock.sleep(self.takes_s)
+        return super().step(state, sample)
+
+
+@pytest.mark.parametrize("takes", [0.5, 2.0])
+def test_a_loop_that_falls_behind_says_by_how_much(
+    recording: Recording, takes: float, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two frames' time for a frame: sample k, due at k frames, is taken at 2 k. Half a frame: never late."""
+    clock, report, told = Time(), loop.Report(), []
+    source = Replay(recording, 1.0, clock, clock.sleep)
+    estimator = Slow(recording.rate_hz, recording.sensors)
+    estimator.clock, estimator.takes_s = clock, takes / recording.rate_hz
+    source.open()
+    loop.run(source, estimator, [], BODY, report, lambda r: told.append(telling.status(r, source)))
+    loop.close(source, [], report)
+    telling.summary(report)
+    said = capsys.readouterr().out
+    late = (len(recording) - 1) / recording.rate_hz
+    assert (late > 1.9) and report.to_dict()["behind_s"] == pytest.approx(
+        late if takes > 1 else 0.0, abs=1e-3
+    )
+    assert ("2.0 s behind the source" in told[-1]) is (takes > 1)
+    assert (said.count("fell 2.0 s behind the source") == 1) is (takes > 1)
+    assert ("behind" in said) is (takes > 1)
 
 
 def test_the_body_stands_on_the_floor(recording: Recording) -> None:

@@ -137,3 +137,23 @@ def test_the_time_of_samples_is_the_time_they_were_measured(rate: float) -> None
     assert len(lags) in (99, 100)
     # Asked every 2 ms; a row with its packet there leaves at once.
     assert np.max(lags[:99]) < 0.0025
+
+
+def test_a_loop_that_stands_still_is_behind_by_so_much() -> None:
+    """Beyond the time that a row waits for packets anyway, which is nobody's fault."""
+    packets = [
+        (2.0 + k / RATE, Packet("head", k / RATE, np.eye(3), np.zeros(3), k)) for k in range(120)
+    ]
+    script = Script(packets)
+    box = Assembler(("head",), RATE, delay_s=0.1)
+    source = Network(script, box, ("head",), {"head": "head"}, clock=lambda: script.now)  # type: ignore[arg-type]
+    assert source.behind_s(0.0) == 0.0  # nothing heard yet
+    source.open()
+    samples = []
+    while script.now < 3.0:
+        samples += source.poll()
+        assert all(source.behind_s(s.time_s) == 0.0 for s in samples[-1:])
+    script.now += 0.7
+    late = source.poll()
+    assert source.behind_s(late[0].time_s) == pytest.approx(0.6, abs=0.02)
+    assert source.behind_s(late[-1].time_s) == pytest.approx(0.0, abs=0.02)
