@@ -1,4 +1,4 @@
-"""The papers' experiments on this project's split: `python benchmarks/experiments.py NAME [--minutes M]`.
+"""The papers' experiments on this project's split: `python benchmarks/experiments.py NAME [--steps N]`.
 
 Each experiment trains what it compares (training clips), chooses by validation loss (validation clips) and
 measures on the test clips: CMU subjects 02, 05, 09, virtual sensors with the realistic noise unless the
@@ -8,7 +8,7 @@ in the papers' tables.
 
 Trained: dip-tables (Tables 2, 3: RNN and BiRNN with and without acceleration loss and dropout, offline and
 online), dip-networks (Tables 4, 5: feed-forward, WaveNet, no accelerations), normalisations (appendix C),
-share (25, 50, 100 % of the clips), hidden (128, 256, 512), augmentation (on, off), noise-gap (clean and noisy
+share (25, 50, 100 % of the clips), hidden (64, 128, 256), augmentation (on, off), noise-gap (clean and noisy
 training against clean and noisy test), one-clip (learnt by heart). Of given weights (--weights): dip-window
 (Fig. 6), dip-histogram (Fig. 5), imuposer-devices (Fig. 6), imuposer-regions (Fig. 8).
 """
@@ -16,6 +16,7 @@ training against clean and noisy test), one-clip (learnt by heart). Of given wei
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import sys
 from collections.abc import Callable, Iterable, Sequence
@@ -43,6 +44,9 @@ from mocap.synthesis import Noise
 
 CMU_SHARE = 0.65
 CLEAN = Noise.none()
+COOLDOWN = (
+    0.35  # runs are short beside the papers': without it the last steps' noise is what is compared
+)
 STRIDE = 5  # frames between those looked at, where 24 combinations are compared
 
 
@@ -88,7 +92,7 @@ TRAINED: dict[str, list[Variant]] = {
     ],
     "normalisations": [variant(n, normalisation=n) for n in ("root", "first", "heading")],
     "share": [variant(f"{s:.0%}", share=s) for s in (0.25, 0.5, 1.0)],
-    "hidden": [variant(f"{h} units", hidden=h) for h in (128, 256, 512)],
+    "hidden": [variant(f"{h} units", hidden=h) for h in (64, 128, 256)],
     "augmentation": [
         variant("augmented"),
         variant("not augmented", augmentation=replace(
@@ -113,10 +117,13 @@ def trained(v: Variant, args: argparse.Namespace, network: str = "dip") -> Model
     """The best weights of a variant's run, trained where they are not there yet."""
     config = for_network(network, **({"hidden": args.hidden} | v.config))
     settings = TrainSettings.paper(
-        network, **({"config": config, "minutes": args.minutes, "seed": args.seed,
-                     "every": args.every, "batch": args.batch} | v.settings)
+        network, **({"config": config, "minutes": args.minutes, "steps": args.steps, "patience": 0,
+                     "seed": args.seed, "every": args.every, "batch": args.batch,
+                     "cooldown": COOLDOWN} | v.settings)
     )  # fmt: skip
-    folder = args.output / "runs" / f"{v.name.replace(' ', '-')}-{args.hidden}-{args.seed}"
+    # Named by what is trained: experiments that share a network train it once.
+    said = json.dumps([settings.to_json(), v.share], sort_keys=True)
+    folder = args.output / "runs" / f"{network}-{hashlib.sha256(said.encode()).hexdigest()[:10]}"
     clips = training_clips().subset(v.share, args.seed) if v.share < 1 else training_clips()
     source = Windows(clips, config.sensors, config.rate_hz, settings.frames, settings.augmentation)
     noise = settings.augmentation.noise
@@ -149,8 +156,8 @@ def rows_of_one_clip(args: argparse.Namespace) -> Iterable[dict[str, Any]]:
     assert recording.reference is not None
     config = for_network("dip", hidden=args.hidden, dropout=0.0)
     settings = TrainSettings.paper(
-        "dip", config=config, minutes=args.minutes, seed=args.seed, every=args.every, patience=0,
-        augmentation=Augmentation.none(), cooldown=0.3,
+        "dip", config=config, minutes=args.minutes, steps=args.steps, seed=args.seed, every=args.every,
+        patience=0, augmentation=Augmentation.none(), cooldown=COOLDOWN,
     )  # fmt: skip
     clip = corpus.pack([("clip", recording.reference)])
     source = Windows(clip, config.sensors, config.rate_hz, settings.frames, settings.augmentation)
@@ -232,7 +239,7 @@ def weights_for(network: str, args: argparse.Namespace) -> Model:
     path = args.weights or checkpoint.shipped(network)
     if args.weights or path.exists():
         return checkpoint.load(path, network)
-    print(f"no weights of {network}: one is trained for {args.minutes:g} minutes", file=sys.stderr)
+    print(f"no weights of {network}: one is trained", file=sys.stderr)
     return trained(
         Variant(network, {}, {"frames": 125} if network == "imuposer" else {}), args, network
     )
@@ -243,7 +250,8 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     parser.add_argument("name", choices=[*TRAINED, *OF_WEIGHTS, "one-clip"])
-    parser.add_argument("--minutes", type=float, default=60.0, help="of training, each network")
+    parser.add_argument("--steps", type=int, default=20_000, help="of training, each network")
+    parser.add_argument("--minutes", type=float, help="of training, at most")
     parser.add_argument("--hidden", type=int, default=512)
     parser.add_argument("--batch", type=int, default=16)
     parser.add_argument("--every", type=int, default=1000, help="steps between validations")
@@ -263,7 +271,7 @@ def main() -> None:
         network, rows = OF_WEIGHTS[args.name]
         found = list(rows(weights_for(network, args)))
     args.output.mkdir(parents=True, exist_ok=True)
-    made = {"minutes": args.minutes, "hidden": args.hidden, "seed": args.seed}
+    made = {"steps": args.steps, "minutes": args.minutes, "hidden": args.hidden, "seed": args.seed}
     with (args.output / f"{args.name}.jsonl").open("a") as out:
         for r in found:
             out.write(json.dumps(r | made) + "\n")

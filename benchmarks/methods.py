@@ -4,8 +4,9 @@ dip: DIP online (20,5) and the hybrid around it, six virtual sensors with the re
 very recordings of `split.py`, whose SOP and SIP rows stand beside these. The hybrid is compared with its
 network clip by clip (bootstrap over clips of the mean difference, 95 %).
 
-imuposer: all 24 device combinations at 25 Hz: the network, its ten Adam steps, the hybrid; the network runs
-once and the refinements see the same poses, so that their own times can be told apart.
+imuposer: all 24 device combinations at 25 Hz: the network, its ten Adam steps, the hybrid, on the last 3 s of
+what is read of each clip: what comes before fills the network's window of 5 s. The network runs once and the
+refinements see the same poses, so that their own times can be told apart.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ NAMES = (
 )  # fmt: skip
 PAIRED = ("sip_deg", "angular_deg", "position_cm", "instrumented_deg", "jitter", "acc_error")
 IMUPOSER_HZ = 25.0
+IMUPOSER_S = 3.0  # of each clip, after the window is full
 
 
 class Playback:
@@ -62,6 +64,23 @@ class Playback:
             sample.time_s, m.R_parent_joint[state], m.p_world_root[state], std, "", self._covariance
         )
         return state + 1, pose
+
+
+class Asleep:
+    """A runtime that answers nothing for its first `frames` windows: their poses are not looked at."""
+
+    def __init__(self, runtime: Any, frames: int, width: int) -> None:
+        self._runtime, self._left, self._width = runtime, frames, width
+        self.rows = runtime.rows
+
+    def features(self, rows: Any, emit: int) -> Any:
+        """Of the awake runtime, or zeros."""
+        import torch
+
+        if self._left > 0:
+            self._left -= 1
+            return torch.zeros(self._width)
+        return self._runtime.features(rows, emit)
 
 
 def figures(
@@ -115,31 +134,44 @@ def dip_clip(job: tuple[str, Motion, str | None]) -> list[dict[str, Any]]:
 def imuposer_clip(job: tuple[str, Motion, str | None]) -> list[dict[str, Any]]:
     """Every combination of devices on one clip."""
     import hybrid
-    from learned import checkpoint
+    from learned import checkpoint, runtime
     from learned.features import COMBINATIONS
+    from learned.models import Imuposer
+    from learned.online.estimator import Online
+    from learned.online.imuposer import ImuposerWindow
     from learned.refine import AdamEstimator
-    from poser.estimators import make
 
-    name, motion, weights = job
-    whole = synthesis.recording(motion, sensors.FIVE, synthesis.NOISES["realistic"], seed_of(name))
+    name, clip, weights = job
+    everything = synthesis.recording(
+        clip, sensors.FIVE, synthesis.NOISES["realistic"], seed_of(name)
+    )
+    before = max(0, len(clip) - round(IMUPOSER_S * IMUPOSER_HZ))
+    motion = clip.slice(before, len(clip))
     mean = shipped().mean
     out = []
     chosen = Path(weights) if weights else None
     model = checkpoint.load(chosen or checkpoint.shipped("imuposer"), "imuposer")
+    assert isinstance(model, Imuposer)
     covariances = [c.double().numpy() for c in model.error_covariance]
+    runtime.one_thread()
     for k, combination in enumerate(COMBINATIONS):
         worn = tuple(sensors.FIVE[place] for place in combination)
-        recording = whole.select(worn)
+        whole = everything.select(worn)
+        recording = whole.slice(before, len(whole))
         label = {"clip": name, "devices": list(worn)}
         joints = tuple(sensors.lookup(n).joint for n in worn)
         still = noskill.mean_pose(recording, mean)
         out.append(label | {"method": "mean-pose"} | figures(still, motion, recording, None))
-        estimator = make("imuposer", IMUPOSER_HZ, worn, weights=chosen)
-        run = replay(estimator, recording)
-        found = figures(run.motion, motion, recording, 1e3 * run.frame_s)
+        awake = runtime.prepare(model, runtime.fastest())
+        width = model.net.head.in_features
+        window = ImuposerWindow(model, worn, runtime=Asleep(awake, before, width))
+        run = replay(Online(window, IMUPOSER_HZ), whole)
+        poses = run.motion.slice(before, len(whole))
+        std = None if run.std_rad is None else run.std_rad[before:]
+        found = figures(poses, motion, recording, 1e3 * run.frame_s[before:])
         out.append(label | {"method": "imuposer"} | found)
         for method in ("imuposer-adam", "hybrid"):
-            network = Playback(run.motion, run.std_rad, covariances[k], worn)
+            network = Playback(poses, std, covariances[k], worn)
             refined: Any = (
                 hybrid.Tracker(network) if method == "hybrid" else AdamEstimator(network, joints)
             )
@@ -197,6 +229,10 @@ def by_devices(results: list[dict[str, Any]]) -> str:
     methods = list(dict.fromkeys(r["method"] for r in results))
     groups: list[tuple[str, list[dict[str, Any]]]] = [("all 24 combinations", results)]
     groups += [(f"{n} devices", [r for r in results if len(r["devices"]) == n]) for n in (1, 2, 3)]
+    groups += [
+        (f"all, subject {s}", [r for r in results if dataset.subject_of(r["clip"]) == s])
+        for s in sorted({dataset.subject_of(r["clip"]) for r in results})
+    ]
     for combination in dict.fromkeys(tuple(r["devices"]) for r in results):
         part = [r for r in results if tuple(r["devices"]) == combination]
         groups.append((", ".join(combination), part))
@@ -222,8 +258,9 @@ def main() -> None:
     parser.add_argument("--part", default="dip,imuposer")
     parser.add_argument("--weights", help="other weights than the shipped ones (one part alone)")
     parser.add_argument(
-        "--seconds", type=float, default=15.0, help="of each clip; imuposer: at most 3"
+        "--seconds", type=float, default=15.0, help="of each clip; imuposer: at most 8"
     )
+    parser.add_argument("--clips", type=int, help="how many, evenly over the split (default: all)")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("-o", "--output", type=Path)
     args = parser.parse_args()
@@ -231,9 +268,13 @@ def main() -> None:
     kept: dict[str, Any] = {}
     for part in args.part.split(","):
         rate, seconds = (
-            (60.0, args.seconds) if part == "dip" else (IMUPOSER_HZ, min(3.0, args.seconds))
+            (60.0, args.seconds)
+            if part == "dip"
+            else (IMUPOSER_HZ, min(5.0 + IMUPOSER_S, args.seconds))
         )
         clips = list(dataset.clips(args.split, ("cmu",), rate, min_s=2.0, max_s=seconds))
+        if args.clips:
+            clips = clips[:: max(1, len(clips) // args.clips)][: args.clips]
         work = dip_clip if part == "dip" else imuposer_clip
         began = time.monotonic()
         results: list[dict[str, Any]] = []
