@@ -38,6 +38,8 @@ def read(path: Path, options: Options | None = None) -> Document:
     from mocap import formats
     from mocap.recording import RawRecording
 
+    if path.is_dir():
+        _check_folder(path)
     doc = formats.read(path, options)
     names = options.mapping if options is not None else None
     raw = doc.content
@@ -45,6 +47,19 @@ def read(path: Path, options: Options | None = None) -> Document:
         with about(path):
             return replace(doc, content=raw.renamed(names))
     return doc
+
+
+def _check_folder(path: Path) -> None:
+    """Raises FormatError for a folder that is no recording of several files."""
+    from mocap import formats
+
+    try:
+        formats.detect(path)
+    except FormatError as e:
+        known = " and ".join(f.name for f in formats.registry() if "" in f.suffixes)
+        raise FormatError(
+            path, f"is a folder, expected a file (of folders, those of {known} are read)"
+        ) from e
 
 
 def motion(path: Path, options: Options | None = None, quiet: bool = False) -> Motion:
@@ -63,9 +78,14 @@ def raw(path: Path, options: Options | None = None) -> RawRecording:
 
 
 def _expect(path: Path, kind: str, options: Options | None, quiet: bool = False) -> Content:
+    from mocap.motion import Motion
+
     doc = read(path, options)
     if doc.kind != kind:
         hint = _HINTS.get((doc.kind, kind), "")
+        if not isinstance(doc.content, Motion) and kind == "motion" and doc.content.reference:
+            first = "once calibrated, " if doc.kind == "raw" else ""
+            hint = f"; {first}poser compare writes the reference motion in it as reference.npz"
         raise FormatError(path, f"holds {_KINDS[doc.kind]}, expected {_KINDS[kind]}{hint}")
     if not quiet:
         for text in doc.warnings:

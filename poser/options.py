@@ -76,6 +76,14 @@ def units(text: str) -> frozenset[str]:
     return found
 
 
+def file(text: str) -> Path:
+    """The path of a file: not that of a folder."""
+    path = Path(text)
+    if path.is_dir():
+        raise ArgumentTypeError(f"{text!r} is a folder, expected a file")
+    return path
+
+
 def mapping(text: str) -> dict[str, str] | Path:
     """`name=place,...`, or a file that holds them."""
     if "=" not in text:
@@ -116,7 +124,7 @@ def add_reading(parser: ArgumentParser, rate_too: bool = True) -> None:
     group.add_argument(
         "--units", type=units, default=frozenset(), metavar="U,U", help=", ".join(UNITS)
     )
-    group.add_argument("--smpl", type=Path, metavar="FILE", help="your SMPL body file")
+    group.add_argument("--smpl", type=file, metavar="FILE", help="your SMPL body file")
     group.add_argument(
         "--map",
         type=mapping,
@@ -144,19 +152,40 @@ def add_json(parser: ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print the answer as JSON")
 
 
+def add_window(parser: ArgumentParser) -> None:
+    """--from and --to, in s on the recording's clock."""
+    for flag, dest, what in (("--from", "begin", "begin at"), ("--to", "end", "end before")):
+        parser.add_argument(
+            flag, dest=dest, type=number, metavar="S", help=f"{what} this time in s"
+        )
+
+
 def add_output(parser: ArgumentParser, metavar: str, help: str) -> None:
     """-o FILE, required."""
     parser.add_argument("-o", "--output", type=Path, required=True, metavar=metavar, help=help)
 
 
 def sensors(spec: str | None, available: tuple[str, ...] | None = None) -> tuple[str, ...]:
-    """Sensor names of a spec; None means all. A name that no table knows is wrong usage."""
+    """Sensor names of a spec, in which sets and names may be mixed; None means all. A name that no table
+    knows is wrong usage.
+    """
     from mocap import sensors as places
     from mocap.errors import SensorError
 
     if available is None:
         try:
-            return places.parse(spec or "six")
+            return places.parse(_without_sets(spec or "six", places.SUIT))
         except SensorError as e:
             raise UsageError(f"argument --sensors: {e}") from e
-    return places.parse(spec or "all", available)
+    return places.parse(_without_sets(spec or "all", available), available)
+
+
+def _without_sets(spec: str, every: tuple[str, ...]) -> str:
+    """A list with its sets written out, each name once: `six,left_foot`. every: what `all` is."""
+    from mocap import sensors as places
+
+    names = [n.strip() for n in spec.split(",")]
+    sets = {**places.SETS, "all": every}
+    if len(names) == 1 or not any(n in sets for n in names):
+        return spec
+    return ",".join(dict.fromkeys(m for n in names for m in sets.get(n, (n,))))

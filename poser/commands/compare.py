@@ -64,12 +64,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         help="of SOP, SIP and sip-all (default: ipopt)",
     )  # fmt: skip
     parser.add_argument("--height", type=options.stature, metavar="M", help="stature in m, for SIP")
-    parser.add_argument(
-        "--from", dest="begin", type=options.number, metavar="S", help="begin at this time in s"
-    )
-    parser.add_argument(
-        "--to", dest="end", type=options.number, metavar="S", help="end before this time in s"
-    )
+    options.add_window(parser)
     parser.add_argument("--jobs", type=_count, default=1, metavar="N", help="recordings at a time")
     parser.add_argument(
         "--cluster", metavar="ADDRESS", help="run on the workers of this Dask scheduler"

@@ -54,7 +54,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         "--sensors", metavar="S", help=f"those the method saw: {options.SENSORS_HELP}"
     )
     parser.add_argument(
-        "--smpl", type=Path, metavar="FILE", help="your SMPL body file, for mesh_cm"
+        "--smpl", type=options.file, metavar="FILE", help="your SMPL body file, for mesh_cm"
     )
     options.add_json(parser)
 

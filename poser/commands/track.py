@@ -45,7 +45,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         help="dip: frames before and after the one answered for (default: 20,5; also 50,5 and 20,0)",
     )  # fmt: skip
     parser.add_argument(
-        "--weights", type=Path, metavar="FILE", help="weights of your own (.safetensors)"
+        "--weights", type=options.file, metavar="FILE", help="weights of your own (.safetensors)"
     )
     parser.add_argument(
         "--height", type=options.stature, metavar="M", help="the body's stature in m"
@@ -53,10 +53,13 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--uncertainty", action="store_true", help="store std_rad (T,24,3) with the motion"
     )
+    options.add_window(parser)
     options.add_json(parser)
 
 
 def run(args: Namespace) -> int:
+    from poser.commands.solve import cut_window
+
     if args.network and args.method not in ("hybrid", args.network):
         raise UsageError("argument --network: it is the hybrid's; the other methods name theirs")
     network = estimators.network_of(args.method, args.network)
@@ -70,6 +73,7 @@ def run(args: Namespace) -> int:
     with files.about(args.recording):
         recording = recording.select(options.sensors(args.sensors, recording.sensors))
         recording = _chosen(recording, network, args.recording, free=args.sensors is None)
+        recording, _ = cut_window(recording, args.begin, args.end)
     tracked = _tracked(args, recording, network)
     std = tracked.run.std_rad if args.uncertainty else None
     if args.uncertainty and std is None:

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from mocap import metrics
+from mocap import metrics, sensors
+from mocap.errors import SensorError
 from mocap.formats import amass, bvh, native
-from poser import comparison
+from poser import comparison, options
 from poser.__main__ import main
+from poser.console import UsageError
 
 Answer = Callable[..., Any]
 Refusal = Callable[..., tuple[int, str]]
@@ -238,6 +241,57 @@ def test_solve_wants_a_calibrated_recording(folder: Path, tmp_path: Path, refusa
     status, sentence = refusal("solve", folder / "raw" / "long.npz", "-o", tmp_path / "m.npz")
     assert status == 1
     assert "poser calibrate" in sentence
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("info", "FOLDER"),
+        ("track", "FOLDER", "--method", "dip", "-o", "OUT"),
+        ("synthesize", "FOLDER", "-o", "OUT"),
+        ("evaluate", "walk.npz", "FOLDER"),
+        ("evaluate", "walk.npz", "walk.npz", "--smpl", "FOLDER"),
+        ("info", "walk.npz", "--smpl", "FOLDER"),
+        ("track", "rec/walk.npz", "-o", "OUT", "--method", "dip", "--weights", "FOLDER"),
+    ],
+)
+def test_a_folder_where_a_file_is_wanted(
+    words: tuple[str, ...], folder: Path, tmp_path: Path, refusal: Refusal
+) -> None:
+    given = tmp_path / "given"
+    given.mkdir()
+    paths = {"FOLDER": given, "OUT": tmp_path / "out.npz"}
+    files = {w: folder / w for w in words if w.endswith(".npz")}
+    _, sentence = refusal(*(({**paths, **files}).get(w, w) for w in words))
+    assert "given" in sentence and "is a folder, expected a file" in sentence
+
+
+def test_a_recording_where_a_motion_is_wanted(
+    folder: Path, tmp_path: Path, refusal: Refusal
+) -> None:
+    recording = native.read_recording(folder / "rec" / "walk.npz")
+    native.write_recording(tmp_path / "bare.npz", replace(recording, reference=None))
+    for source, hint in (
+        (folder / "rec" / "walk.npz", "; poser compare writes the reference motion in it"),
+        (folder / "raw" / "long.npz", "; once calibrated, poser compare writes the reference"),
+        (tmp_path / "bare.npz", "expected a motion\n"),
+    ):
+        status, sentence = refusal("synthesize", source, "-o", tmp_path / "out")
+        assert status == 1 and hint in sentence
+
+
+def test_sets_and_names_of_sensors_may_be_mixed() -> None:
+    assert options.sensors("six, left_foot") == (*sensors.SIX, "left_foot")
+    assert options.sensors("head,five") == ("head", *(n for n in sensors.FIVE if n != "head"))
+    assert options.sensors("head,all", ("nose", "head")) == ("head", "nose")
+    assert options.sensors("all,lower_back") == (*sensors.SUIT, "lower_back")
+    assert options.sensors(None, ("nose", "head")) == ("nose", "head")
+    with pytest.raises(UsageError, match=r"sensor foo unknown; there is: pelvis, .*right_foot"):
+        options.sensors("six,foo")
+    with pytest.raises(SensorError, match=r"sensor foo not in the recording; there is: left_fore"):
+        options.sensors("six,foo", sensors.SIX)
+    with pytest.raises(SensorError, match="head twice"):
+        options.sensors("head,head", sensors.SIX)
 
 
 def test_evaluate_names_and_nulls(folder: Path, answer: Answer) -> None:

@@ -102,6 +102,7 @@ REFUSED = [
     (("six", "--method", "imuposer", "--window", "20,5"), 2, "--window"),
     (("six", "--method", "dip", "--window", "20"), 2, "PAST,FUTURE"),
     (("six", "--method", "guess"), 2, "invalid choice"),
+    (("six", "--method", "dip", "--from", "soon"), 2, "not a number"),
     (("six", "--method", "dip", "--weights", "none.safetensors"), 1, "none.safetensors"),
 ]  # fmt: skip
 
@@ -119,6 +120,25 @@ def test_refusals(
     code, said = refusal("track", place / f"{words[0]}.npz", "-o", out, *words[1:])
     assert code == status and why in said
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_window_is_that_of_the_recording_and_of_solve(
+    place: Path, tmp_path: Path, answer: Callable[..., Any], refusal: Callable[..., Any]
+) -> None:
+    recording = replace(files.recording(place / "six.npz"), start_s=100.0)
+    assert FORMAT.write is not None
+    FORMAT.write(tmp_path / "rec.npz", recording)
+    FORMAT.write(tmp_path / "cut.npz", recording.slice(6, 21))
+    words = ("--method", "dip", "--weights", place / "dip.safetensors")
+    for source, window in (("rec", ("--from", "100.1", "--to", "100.35")), ("cut", ())):
+        out = ("-o", tmp_path / f"{source}-out.npz")
+        said = answer("track", tmp_path / f"{source}.npz", *out, *words, *window)
+        assert said["frames"] == 15
+    a, b = (files.motion(tmp_path / f"{n}-out.npz") for n in ("rec", "cut"))
+    np.testing.assert_allclose(a.R_parent_joint, b.R_parent_joint, atol=1e-12)
+    later = (*words, "--from", "100.5")
+    code, said = refusal("track", tmp_path / "rec.npz", "-o", tmp_path / "o.npz", *later)
+    assert code == 1 and "runs from 100 s to 100.5 s" in said
 
 
 def test_weights_of_the_other_network_are_refused(
