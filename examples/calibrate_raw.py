@@ -19,6 +19,8 @@ from mocap.calibration import Calibration, calibrate
 from mocap.recording import RawRecording, Recording
 from poser import motions
 
+SHORTEST_S = 8.0  # the static pose, 2 s, and the walk after it, 6 s
+
 
 def bone_error_deg(recording: Recording) -> float:
     """Mean angle between the calibrated bones and the true ones."""
@@ -43,6 +45,10 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=float, default=12.0, help="of the built-in motion")
     args = parser.parse_args(argv)
+    if args.seconds < SHORTEST_S:
+        parser.error(
+            f"--seconds {args.seconds:g} is too short: the pose and the walk take {SHORTEST_S:g} s"
+        )
 
     # The built-in motion begins with two seconds of standing in the N-pose. Each raw sensor sits at a
     # random rotation on its bone.

@@ -29,6 +29,23 @@ def test_example(name: str, seconds: int, said: str, tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("seconds", ["5", "-1"])
+def test_too_short_a_motion_to_calibrate_is_told_in_one_sentence(seconds: str) -> None:
+    line = [sys.executable, str(EXAMPLES / "calibrate_raw.py"), f"--seconds={seconds}"]
+    done = subprocess.run(line, capture_output=True, text=True, timeout=120)
+    assert (done.returncode, done.stdout) == (2, "")
+    *usage, sentence = done.stderr.splitlines()
+    assert usage[0].startswith("usage: ") and len(usage) == 1
+    assert f"--seconds {seconds} is too short: the pose and the walk take 8 s" in sentence
+
+
+def test_the_shortest_motion_to_calibrate_is_long_enough() -> None:
+    line = [sys.executable, str(EXAMPLES / "calibrate_raw.py"), "--seconds=8"]
+    done = subprocess.run(line, capture_output=True, text=True, timeout=120)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "facing: hinge of the shank" in done.stdout  # it was the walk that told
+
+
 def test_every_example_is_tested() -> None:
     names = {p.stem for p in EXAMPLES.glob("*.py")}
     assert names == {
