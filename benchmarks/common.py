@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+import resource
 import statistics
 import time
 import zlib
@@ -55,3 +56,11 @@ def seed_of(name: str) -> int:
 def row(cells: Iterable[object], widths: Iterable[int]) -> str:
     """One line of a text table."""
     return " ".join(f"{c!s:>{w}}" for c, w in zip(cells, widths, strict=False))
+
+
+def resident_mb() -> float:
+    """Resident memory of this process."""
+    status = Path("/proc/self/statm")
+    if status.exists():
+        return int(status.read_text().split()[1]) * resource.getpagesize() / 2**20
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10  # not Linux: the peak

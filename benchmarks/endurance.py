@@ -1,9 +1,10 @@
 """Hours of input through the tracker: `python benchmarks/endurance.py --hours 10 -o state.pickle`.
 
-The built-in motion in a loop, six sensors at 60 Hz, the stand-in network of `qp.py`, and trouble all the
-time: the realistic noise's losses, and now and then NaN, an unplugged sensor, two exchanged ones, zero
-matrices, a jump of the clock. Counts frames without a usable pose (the goal is none). With -o the state is
-saved every minute of input, and a later call goes on from there.
+The built-in motion in a loop and trouble all the time: the realistic noise's losses, and now and then NaN, an
+unplugged sensor, two exchanged ones, zero matrices, a jump of the clock. --network stand-in (that of `qp.py`)
+or dip: six sensors at 60 Hz; imuposer: three devices at 25 Hz. Counts frames without a usable pose (the goal
+is none) and fallbacks by reason, and tells resident memory each tenth of the way. With -o the state is saved
+every minute of input, and a later call goes on from there.
 """
 
 from __future__ import annotations
@@ -11,25 +12,27 @@ from __future__ import annotations
 import argparse
 import json
 import pickle
-import sys
 import time
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from common import resident_mb
 from qp import StandIn
 
 from hybrid import Tracker
 from mocap import Recording, sensors, synthesis
 from mocap import orientation as ori
-from mocap.estimator import Pose, Sample, samples
+from mocap.estimator import Estimator, Pose, Sample, samples
 from mocap.formats._files import write_aside
 from poser import motions
+from poser.estimators import make
 
-RATE_HZ = 60.0
 TROUBLES = ("nan", "unplugged", "exchanged", "zero", "clock")
 EVERY_S, LASTS_S = 7.0, 0.5
+DEVICES = ("left_wrist", "right_pocket", "head")
 
 
 class Looped(StandIn):
@@ -41,13 +44,13 @@ class Looped(StandIn):
         return state + 1, pose
 
 
-def troubled(rows: list[Sample], first: int) -> Iterator[Sample]:
+def troubled(rows: list[Sample], rate_hz: float, first: int) -> Iterator[Sample]:
     """Endless samples from frame `first` on; what is broken depends on the frame alone."""
-    every, lasts = int(EVERY_S * RATE_HZ), int(LASTS_S * RATE_HZ)
+    every, lasts = int(EVERY_S * rate_hz), int(LASTS_S * rate_hz)
     k = first
     while True:
         sample = rows[k % len(rows)]
-        R, acc, t = np.array(sample.R_world_bone), np.array(sample.acc_world), k / RATE_HZ
+        R, acc, t = np.array(sample.R_world_bone), np.array(sample.acc_world), k / rate_hz
         valid = sample.valid
         episode, at = divmod(k, every)
         s = episode % len(R)
@@ -78,29 +81,42 @@ def usable(pose: Pose | None) -> bool:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--hours", type=float, default=10.0)
+    parser.add_argument("--network", default="stand-in", choices=("stand-in", "dip", "imuposer"))
     parser.add_argument("-o", "--output", type=Path, help="where the state is kept")
     args = parser.parse_args()
-    truth = motions.builtin(RATE_HZ)
-    recording: Recording = synthesis.recording(truth, sensors.SIX, synthesis.Noise(), 0)
-    tracker = Tracker(Looped(truth, sensors.SIX))
+    rate, names = (25.0, DEVICES) if args.network == "imuposer" else (60.0, sensors.SIX)
+    truth = motions.builtin(rate)
+    recording: Recording = synthesis.recording(truth, names, synthesis.Noise(), 0)
+    tracker: Estimator = (
+        Tracker(Looped(truth, names))
+        if args.network == "stand-in"
+        else make("hybrid", rate, names, network=args.network)
+    )
     done, missing, state = 0, 0, tracker.init()
     if args.output and args.output.exists():
         # Our own file: whoever passes another one runs what is in it.
         done, missing, state = pickle.loads(args.output.read_bytes())
-    began, before, total = time.perf_counter(), done, round(args.hours * 3600 * RATE_HZ)
-    minute = int(60 * RATE_HZ)
-    stream = troubled(list(samples(recording)), done)
+    before, total = done, round(args.hours * 3600 * rate)
+    minute, tenth = int(60 * rate), max(1, total // 10)
+    stream = troubled(list(samples(recording)), rate, done)
+    ms: deque[float] = deque(maxlen=100_000)
     while done < total:
-        state, pose = tracker.step(state, next(stream))
-        missing += not usable(pose)
+        sample = next(stream)
+        began = time.perf_counter()
+        state, pose = tracker.step(state, sample)
+        ms.append(1e3 * (time.perf_counter() - began))
+        missing += done >= tracker.look_ahead_frames and not usable(pose)
         done += 1
+        if done % tenth == 0 or done == before + minute:
+            print(f"{done / rate / 3600:.2f} h: {resident_mb():.1f} MB", flush=True)
         if done % minute == 0 and args.output:
             with write_aside(args.output) as path:
                 Path(path).write_bytes(pickle.dumps((done, missing, state)))
-            print(f"\r{done / minute:.0f} min, {missing} without a pose", end="", file=sys.stderr)
-    seconds = time.perf_counter() - began
-    print(f"{done} frames ({done / RATE_HZ / 3600:.2f} h), {missing} without a usable pose")
-    print(f"{1e3 * seconds / max(done - before, 1):.3f} ms per frame in this run")
+    print(f"{done} frames ({done / rate / 3600:.2f} h), {missing} without a usable pose")
+    if ms:
+        print(
+            f"{np.median(ms):.2f} ms a frame, p99 {np.percentile(ms, 99):.2f}, the latest {len(ms)}"
+        )
     print(json.dumps(dict(state.counts), indent=1))
 
 

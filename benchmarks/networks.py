@@ -12,14 +12,13 @@ calling thread alone: on a busy machine compare these. One thread.
 from __future__ import annotations
 
 import argparse
-import resource
 import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import torch
-from common import machine, row
+from common import machine, resident_mb, row
 from torch import Tensor
 
 from learned import checkpoint, online, runtime
@@ -131,13 +130,6 @@ def memory(network: str, minutes: float) -> None:
             print(
                 f"{network}: {k / rate / 60:6.1f} min streamed: {resident_mb():.1f} MB", flush=True
             )
-
-
-def resident_mb() -> float:
-    status = Path("/proc/self/statm")
-    if status.exists():
-        return int(status.read_text().split()[1]) * resource.getpagesize() / 2**20
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10  # not Linux: the peak
 
 
 def adam(model: Model, clips: int) -> None:
