@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from poser import files, options
-from poser.console import DONE, Progress, emit, json_text, part, progress, say, table
+from poser.console import DONE, Progress, emit, json_text, note, part, progress, say, table
 
 if TYPE_CHECKING:
     from mocap.motion import Motion
@@ -64,6 +64,8 @@ def run(args: Namespace) -> int:
             args.output, "Every method on the built-in motion", [compared], found["mean"],
             _facts(recording, compared), ((poses, "Every method at several times."),),
         )  # fmt: skip
+    for sentence in results.failures([compared]):
+        note(sentence)
     if args.json:
         emit(found)
         return DONE
@@ -110,7 +112,7 @@ def _facts(recording: Recording, compared: Compared) -> dict[str, str]:
         "Sensors": f"{', '.join(sensors.SIX)}; IMUPoser: {', '.join(DEVICES)}",
         "Noise, 1 sigma": f"{noise_words(recording)}; seed {SEED}",
     }
-    for name in ("sop", "sip"):
+    for name in (m for m in ("sop", "sip") if m in compared.methods):
         f = compared.methods[name].figures
         facts[name.upper()] = f"{f['seconds']:.1f} s, {f['iterations']} iterations: {f['status']}"
     facts["Mean pose, nearest pose"] = "from the poses that the prior was made of"

@@ -338,3 +338,12 @@ def test_demo(tmp_path: Path, answer: Answer) -> None:
     assert page.count("data:image/png;base64,") == 4
     assert "http://" not in page and "https://" not in page
     assert (tmp_path / "d" / "poses.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_demo_goes_on_without_a_method_that_cannot(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["demo", "-o", str(tmp_path), "--seconds", "0.02"]) == 0  # one frame
+    said = json.loads((tmp_path / "results.json").read_text())["recordings"][0]
+    assert "sop" not in said["methods"] and {"dip", "imuposer"} <= set(said["methods"])
+    assert f"note: builtin, sop, sip: {said['failed']['sop']}\n" in capsys.readouterr().err

@@ -127,6 +127,10 @@ def test_the_online_methods_with_the_shipped_weights(recordings: Path, tmp_path:
     for name in ONLINE:
         said = methods[name]
         assert said["frames"] == len(truth) and said["look_ahead_frames"] == 5
+        # As `track --json` names them: both hybrids are "hybrid", and the network is beside it.
+        method = "hybrid" if name.startswith("hybrid") else name
+        network = "imuposer" if "imuposer" in name else "dip"
+        assert (said["method"], said["network"]) == (method, network)
         assert 0 < said["frame_ms_p50"] <= said["frame_ms_p99"]
         motion = formats.read(tmp_path / f"{name}.npz").content
         assert len(motion) == len(truth)
