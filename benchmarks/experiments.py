@@ -1,6 +1,6 @@
 """The papers' experiments on this project's split: `python benchmarks/experiments.py NAME [--steps N]`.
 
-Each experiment trains what it compares (training clips), chooses by validation loss (validation clips) and
+Each experiment trains what it compares (training clips), chooses by the pose error of validation clips and
 measures on the test clips: CMU subjects 02, 05, 09, virtual sensors with the realistic noise unless the
 experiment is about noise. Results go to the folder of -o as JSON lines (`NAME.jsonl`), a table is printed.
 A run that is there already is not trained again. These figures are on these motions only: they do not belong

@@ -21,30 +21,44 @@ from mocap import Motion, dataset, metrics, noskill, sensors, synthesis
 from sip.prior import shipped
 
 NAMES = ("sip_deg", "angular_deg", "position_cm", "root_deg", "jitter", "jitter_reference")
-METHODS = ("mean-pose", "nearest-pose", "sop", "sip", "sip+calibration", "sip from truth")
+METHODS = (
+    "mean-pose", "nearest-pose", "sop", "sip", "sip+calibration", "sip from truth", "sip from dip",
+)  # fmt: skip
 
 
-def solved(method: str, recording: synthesis.Recording, truth: Motion, solver: str) -> Motion:
-    """The motion that a method makes of a recording."""
+def solved(
+    method: str, recording: synthesis.Recording, truth: Motion, solver: str
+) -> tuple[Motion, dict[str, float]]:
+    """The motion that a method makes of a recording; of a solve, its cost, iterations and seconds."""
     prior = shipped()
     if method == "mean-pose":
-        return noskill.mean_pose(recording, prior.mean)
+        return noskill.mean_pose(recording, prior.mean), {}
     if method == "nearest-pose":
-        return noskill.nearest_pose(recording, prior.poses)
+        return noskill.nearest_pose(recording, prior.poses), {}
     settings = sip.Settings(terms="sop" if method == "sop" else "sip", solver=solver)
     if method == "sip+calibration":
         settings = replace(settings, self_calibration=True)
     if method == "sip from truth":
         settings = replace(settings, start=truth)
-    return sip.solve(recording, settings=settings).motion
+    if method == "sip from dip":
+        from poser.tracking import track
+
+        settings = replace(settings, start=track(recording, "dip", "dip").run.motion)
+    found = sip.solve(recording, settings=settings)
+    solve = {
+        "cost": sum(found.cost.values()), "iterations": found.iterations, "seconds": found.seconds,
+    }  # fmt: skip
+    return found.motion, solve
 
 
 def one(job: tuple[str, Motion, str, str, str]) -> dict[str, object]:
     """Metrics of one clip, noise and method."""
     name, motion, noise, method, solver = job
     recording = synthesis.recording(motion, sensors.SIX, synthesis.NOISES[noise], seed_of(name))
-    m = metrics.evaluate(solved(method, recording, motion, solver), motion)
-    return {"clip": name, "noise": noise, "method": method} | {k: getattr(m, k) for k in NAMES}
+    found, solve = solved(method, recording, motion, solver)
+    m = metrics.evaluate(found, motion)
+    figures = {k: getattr(m, k) for k in NAMES}
+    return {"clip": name, "noise": noise, "method": method} | figures | solve
 
 
 def table(results: list[dict[str, object]], noise: str) -> str:
@@ -65,21 +79,28 @@ def table(results: list[dict[str, object]], noise: str) -> str:
 
 
 def starts(results: list[dict[str, object]], noise: str) -> str:
-    """How the default start fares against the start at the truth, clip by clip."""
-    by = {(r["method"], r["clip"]): float(r["sip_deg"]) for r in results if r["noise"] == noise}  # type: ignore[arg-type]
-    ratios = {
-        c: v / by["sip from truth", c]
-        for (m, c), v in by.items()
-        if m == "sip" and ("sip from truth", c) in by
-    }
-    if not ratios:
-        return ""
-    worse = {str(c): round(r, 2) for c, r in ratios.items() if r > 1.25}
-    return (
-        f"sip_deg from the default start over that from the truth: median "
-        f"{np.median(list(ratios.values())):.3f}, above 1.25 in {len(worse)} of {len(ratios)} "
-        f"clips: {worse}"
-    )
+    """How the default start fares against the others, clip by clip."""
+    by = {(str(r["method"]), str(r["clip"])): r for r in results if r["noise"] == noise}
+    out = []
+    for other in ("sip from truth", "sip from dip"):
+        pairs = {
+            c: (by["sip", c], r) for (m, c), r in by.items() if m == other and ("sip", c) in by
+        }
+        if not pairs:
+            continue
+        ratio = {c: a["sip_deg"] / b["sip_deg"] for c, (a, b) in pairs.items()}  # type: ignore[operator]
+        cost = np.array([b["cost"] / a["cost"] for a, b in pairs.values()])  # type: ignore[operator]
+        worse = {c: round(float(r), 2) for c, r in ratio.items() if r > 1.25}
+        better = {c: round(float(r), 2) for c, r in ratio.items() if r < 0.8}
+        steps = [np.mean([float(p[k]["iterations"]) for p in pairs.values()]) for k in (0, 1)]  # type: ignore[arg-type]
+        out.append(
+            f"default start against {other}: sip_deg ratio median "
+            f"{np.median(list(ratio.values())):.3f}, above 1.25 in {len(worse)} of {len(pairs)} clips "
+            f"{worse}, under 0.8 in {len(better)} {better}; cost of {other} over the default's: median "
+            f"{np.median(cost):.4f}, lower by 1 % or more in {(cost < 0.99).sum()}, higher in "
+            f"{(cost > 1.01).sum()}; iterations {steps[0]:.1f} against {steps[1]:.1f}"
+        )
+    return "\n".join(out)
 
 
 def main() -> None:
