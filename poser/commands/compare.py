@@ -1,9 +1,10 @@
 """Several methods on the same recordings with the same reference: tables, pictures and a report.
 
 Writes results.json, report.html and one motion file a method into the output folder (a folder a recording
-where there are several). Methods: sop, sip, dip, imuposer, imuposer-adam, hybrid-dip (or hybrid),
-hybrid-imuposer. The reference is the recording's own, a motion file, or sip-all: SIP on every sensor that
-the recording has.
+where there are several), and removes those of an earlier comparison. Methods: sop, sip, dip, imuposer,
+imuposer-adam, hybrid-dip (or hybrid), hybrid-imuposer. The reference is the recording's own, a motion file,
+or sip-all: SIP on every sensor that the recording has. A method that a recording does not serve is named with
+the reason, and the others go on.
 """
 
 from __future__ import annotations

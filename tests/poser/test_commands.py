@@ -34,7 +34,7 @@ def test_info_of_a_recording_counts_its_gaps(folder: Path, answer: Answer) -> No
     assert facts["has_reference"] is True
     assert len(facts["sensors"]) == 6
     valid = native.read_recording(folder / "rec" / "walk.npz").valid
-    assert sum(g["frames"] for g in facts["gaps"]) == (~valid).sum()
+    assert sum(g["frames"] for g in facts["gaps"]) == (~valid).sum() > 0
     for gap in facts["gaps"]:
         assert gap["longest_seconds"] == pytest.approx(gap["longest_frames"] / 60)
 
@@ -162,16 +162,17 @@ def test_calibrate_for_people(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ["calibrate", str(folder / "raw" / "long.npz"), "-o", str(tmp_path / "r.npz")]
-    assert main([*words, "--axis", "pelvis=x forward", "--no-strict"]) in (0, 1)
+    assert main([*words, "--axis", "pelvis=x forward", "--no-strict"]) == 0
+    assert "facing: axis x forward of pelvis (to " in capsys.readouterr().out
     assert main(words) == 0
     out = capsys.readouterr().out
-    assert "N-pose at" in out and "facing: " in out
+    assert "N-pose at" in out and "facing: hinge of the shank (to " in out
 
 
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--axis", "pelvis"], "pelvis='x forward'"[:6]),
+        (["--axis", "pelvis"], "is not SENSOR=AXIS DIRECTION"),
         (["--second", "t"], "POSE@SECONDS"),
         (["--at", "soon"], "is not a number"),
         (["--pose", "t", "--arm-angle", "80"], "--arm-angle"),
