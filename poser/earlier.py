@@ -16,13 +16,14 @@ MOTIONS = (*METHODS, *NO_SKILL, "reference")
 
 def files_in(folder: Path, subfolders: Iterable[Path]) -> list[Path]:
     """The files that an earlier comparison wrote: those of its record `results.json`, and the motions in
-    the `subfolders`, where one that was interrupted has left no record.
+    those of the `subfolders` that hold a reference, where one that was interrupted has left no record.
 
-    Other files are not in it, also not those of the same names in a folder without a record: `poser solve`
-    may have written them.
+    Other files are not in it, also not those of the same names in other folders: `poser solve` may have
+    written them.
     """
     inside = folder.resolve()
-    found = [p / f"{name}.npz" for p in subfolders if p != folder for name in MOTIONS]
+    own = [p for p in subfolders if p != folder and (p / "reference.npz").exists()]
+    found = [p / f"{name}.npz" for p in own for name in MOTIONS]
     listed = _listed(folder)
     if listed is not None:
         found += [p for p in listed if p.resolve().is_relative_to(inside)]

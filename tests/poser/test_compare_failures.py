@@ -150,8 +150,9 @@ def test_the_folder_holds_this_runs_files_alone(place: Path, tmp_path: Path) -> 
     motion = [f"{n}.npz" for n in ("sop", *results.NO_SKILL, "reference")]
     assert contents(tmp_path) == {*page, *motion, *mine}
     # And from one recording's folder to several's, of which one is left from a run without a record.
-    (tmp_path / "walk").mkdir(exist_ok=True)
-    (tmp_path / "walk" / "hybrid-dip.npz").write_text("interrupted")
+    (tmp_path / "walk").mkdir()
+    for name in ("hybrid-dip", "reference"):
+        (tmp_path / "walk" / f"{name}.npz").write_text("interrupted")
     assert main(["compare", *two, *out, "sip"]) == 0
     motion = [f"{n}.npz" for n in ("sip", *results.NO_SKILL, "reference")]
     both = [f"{r}/{m}" for r in ("walk", "squat") for m in motion]
@@ -162,11 +163,13 @@ def test_the_folder_holds_this_runs_files_alone(place: Path, tmp_path: Path) -> 
     "record", [None, "[]", "{", '{"schema": "poser-compare/1", "motions": 3}', '{"schema": "mine"}']
 )
 def test_files_of_others_stay(record: str | None, tmp_path: Path) -> None:
-    for name in ("dip.npz", "worst.png"):
+    (tmp_path / "walk").mkdir()
+    for name in ("dip.npz", "worst.png", "walk/sip.npz"):
         (tmp_path / name).write_text("mine")
     if record is not None:
         (tmp_path / "results.json").write_text(record)
     assert earlier.files_in(tmp_path, [tmp_path]) == []
+    assert earlier.files_in(tmp_path, [tmp_path / "walk", tmp_path / "squat"]) == []
 
 
 def test_a_record_cannot_point_outside_its_folder(tmp_path: Path) -> None:
