@@ -6,6 +6,8 @@ No method runs here: each answers with the reference itself (`instant`), so that
 from __future__ import annotations
 
 import json
+import sys
+import types
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -134,6 +136,49 @@ def test_a_reference_that_does_not_fit_costs_its_recording_alone(place: Path) ->
     assert kept == ["own"]
     with pytest.raises(PoserError, match=r"long, reference: .* one frame at most"):
         comparison.run(jobs[0])
+
+
+class _Future:
+    def __init__(self, work: Callable[[comparison.Job], Any], job: comparison.Job) -> None:
+        self.key, self.work, self.job = job.name, work, job
+
+
+class _Client:
+    """As much of Dask's client as is used; its workers are done in the wrong order."""
+
+    def __init__(self, address: str, timeout: float) -> None:
+        assert address == "tcp://scheduler:8786"
+
+    def __enter__(self) -> _Client:
+        return self
+
+    def __exit__(self, *_: object) -> None: ...
+
+    def submit(self, work: Callable[..., Any], job: comparison.Job, pure: bool) -> _Future:
+        assert not pure  # two jobs alike are two jobs
+        return _Future(work, job)
+
+
+@pytest.mark.usefixtures("instant")
+def test_a_cluster_gives_the_jobs_order_back(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def as_completed(futures: list[_Future], with_results: bool) -> list[tuple[_Future, Any]]:
+        assert with_results
+        return [(f, f.work(f.job)) for f in reversed(futures)]
+
+    dask = types.SimpleNamespace(Client=_Client, as_completed=as_completed)
+    monkeypatch.setitem(sys.modules, "dask", types.ModuleType("dask"))
+    monkeypatch.setitem(sys.modules, "dask.distributed", dask)  # type: ignore[arg-type]
+    walk, legs = (read_recording(place / f"{n}.npz") for n in ("walk", "legs"))
+    jobs = [
+        comparison.Job("a", walk, ("sop",), no_skill=False),
+        comparison.Job("b", legs, ("dip",), no_skill=False),
+        comparison.Job("c", walk, ("sip",), no_skill=False),
+    ]
+    kept: list[str] = []
+    came = batch.run_many(jobs, cluster="tcp://scheduler:8786", keep=lambda c: kept.append(c.name))
+    assert [c.name for c in came] == ["a", "b", "c"]
+    assert isinstance(came[1], results.Lost)
+    assert kept == ["c", "a"]
 
 
 @pytest.mark.usefixtures("instant")
