@@ -34,6 +34,7 @@ NAMES = (
 PAIRED = ("sip_deg", "angular_deg", "position_cm", "instrumented_deg", "jitter", "acc_error")
 IMUPOSER_HZ = 25.0
 IMUPOSER_S = 3.0  # of each clip, after the window is full
+EARLY = 5  # frames that the network wakes before: an answer may come some frames after its window
 
 
 class Playback:
@@ -107,11 +108,12 @@ def _joints(motion: Motion) -> np.ndarray:
     return body.forward(local, np.zeros((len(motion), 3)))[1]
 
 
-def dip_clip(job: tuple[str, Motion, str | None]) -> list[dict[str, Any]]:
-    """Mean pose, nearest pose, DIP and hybrid on one clip."""
+def dip_clip(job: tuple[str, Motion, str | None, dict[str, Any]]) -> list[dict[str, Any]]:
+    """Mean pose, nearest pose, DIP and hybrid on one clip; and the hybrid with other settings, if any."""
+    import hybrid
     from poser.estimators import make
 
-    name, motion, weights = job
+    name, motion, weights, settings = job
     recording = synthesis.recording(
         motion, sensors.SIX, synthesis.NOISES["realistic"], seed_of(name)
     )
@@ -123,16 +125,19 @@ def dip_clip(job: tuple[str, Motion, str | None]) -> list[dict[str, Any]]:
     ):
         out.append({"clip": name, "method": method} | figures(found, motion, recording, None))
     chosen = Path(weights) if weights else None
-    for method in ("dip", "hybrid"):
-        estimator = make(method, 60.0, sensors.SIX, network="dip", weights=chosen)
+    dip = make("dip", 60.0, sensors.SIX, weights=chosen)
+    ways = {"dip": dip, "hybrid": hybrid.Tracker(dip)}
+    if settings:
+        ways["hybrid, set"] = hybrid.Tracker(dip, hybrid.TrackerSettings(**settings))
+    for method, estimator in ways.items():
         run = replay(estimator, recording)
         found = figures(run.motion, motion, recording, 1e3 * run.frame_s)
         out.append({"clip": name, "method": method, "fallbacks": run.fallbacks} | found)
     return out
 
 
-def imuposer_clip(job: tuple[str, Motion, str | None]) -> list[dict[str, Any]]:
-    """Every combination of devices on one clip."""
+def imuposer_clip(job: tuple[str, Motion, str | None, dict[str, Any]]) -> list[dict[str, Any]]:
+    """Every combination of devices on one clip; settings: of the hybrid."""
     import hybrid
     from learned import checkpoint, runtime
     from learned.features import COMBINATIONS
@@ -141,7 +146,7 @@ def imuposer_clip(job: tuple[str, Motion, str | None]) -> list[dict[str, Any]]:
     from learned.online.imuposer import ImuposerWindow
     from learned.refine import AdamEstimator
 
-    name, clip, weights = job
+    name, clip, weights, settings = job
     everything = synthesis.recording(
         clip, sensors.FIVE, synthesis.NOISES["realistic"], seed_of(name)
     )
@@ -164,7 +169,7 @@ def imuposer_clip(job: tuple[str, Motion, str | None]) -> list[dict[str, Any]]:
         out.append(label | {"method": "mean-pose"} | figures(still, motion, recording, None))
         awake = runtime.prepare(model, runtime.fastest())
         width = model.net.head.in_features
-        window = ImuposerWindow(model, worn, runtime=Asleep(awake, before, width))
+        window = ImuposerWindow(model, worn, runtime=Asleep(awake, max(0, before - EARLY), width))
         run = replay(Online(window, IMUPOSER_HZ), whole)
         poses = run.motion.slice(before, len(whole))
         std = None if run.std_rad is None else run.std_rad[before:]
@@ -173,7 +178,9 @@ def imuposer_clip(job: tuple[str, Motion, str | None]) -> list[dict[str, Any]]:
         for method in ("imuposer-adam", "hybrid"):
             network = Playback(poses, std, covariances[k], worn)
             refined: Any = (
-                hybrid.Tracker(network) if method == "hybrid" else AdamEstimator(network, joints)
+                hybrid.Tracker(network, hybrid.TrackerSettings(**settings))
+                if method == "hybrid"
+                else AdamEstimator(network, joints)
             )
             again = replay(refined, recording)
             found = figures(again.motion, motion, recording, 1e3 * again.frame_s)
@@ -260,6 +267,11 @@ def main() -> None:
     parser.add_argument(
         "--seconds", type=float, default=15.0, help="of each clip; imuposer: at most 8"
     )
+    parser.add_argument(
+        "--tracker", type=json.loads, default={}, metavar="JSON",
+        help="hybrid.TrackerSettings to compare with the default (dip) or to use (imuposer), as "
+        """'{"positions": true}'""",
+    )  # fmt: skip
     parser.add_argument("--clips", type=int, help="how many, evenly over the split (default: all)")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("-o", "--output", type=Path)
@@ -279,7 +291,9 @@ def main() -> None:
         began = time.monotonic()
         results: list[dict[str, Any]] = []
         with ProcessPoolExecutor(args.jobs) as pool:
-            for i, found in enumerate(pool.map(work, [(*c, args.weights) for c in clips])):
+            for i, found in enumerate(
+                pool.map(work, [(*c, args.weights, args.tracker) for c in clips])
+            ):
                 results += found
                 print(f"\r{part} {i + 1}/{len(clips)}   ", end="", file=sys.stderr)
         print(file=sys.stderr)
@@ -290,6 +304,8 @@ def main() -> None:
         if part == "dip":
             print(by_subject(results))
             print(paired(results, "hybrid", "dip"))
+            if args.tracker:
+                print(paired(results, "hybrid, set", "hybrid"))
         else:
             print(by_devices(results))
             averaged = _over_devices(results)
