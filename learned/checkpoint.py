@@ -109,7 +109,8 @@ def load(path: Path, network: str | None = None) -> Model:
     tensors do not fit its description (names, shapes, values that are not finite).
     """
     if not path.is_file():
-        raise CheckpointError(f"{path}: no such file")
+        what = "is a folder; weights are a .safetensors file" if path.is_dir() else "no such file"
+        raise CheckpointError(f"{path}: {what}")
     config = config_of(path)
     if network is not None and config.network != network:
         raise CheckpointError(f"{path}: weights of {config.network}, expected {network}")

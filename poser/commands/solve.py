@@ -57,12 +57,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--plot", type=Path, metavar="PNG", help="residuals of each sensor over time, as a picture"
     )
-    parser.add_argument(
-        "--from", dest="begin", type=options.number, metavar="S", help="begin at this time in s"
-    )
-    parser.add_argument(
-        "--to", dest="end", type=options.number, metavar="S", help="end before this time in s"
-    )
+    options.add_window(parser)
     options.add_json(parser)
 
 
