@@ -145,6 +145,7 @@ def imuposer_clip(job: tuple[str, Motion, str | None, dict[str, Any]]) -> list[d
     from learned.online.estimator import Online
     from learned.online.imuposer import ImuposerWindow
     from learned.refine import AdamEstimator
+    from poser.estimators import TRACKER
 
     name, clip, weights, settings = job
     everything = synthesis.recording(
@@ -178,7 +179,7 @@ def imuposer_clip(job: tuple[str, Motion, str | None, dict[str, Any]]) -> list[d
         for method in ("imuposer-adam", "hybrid"):
             network = Playback(poses, std, covariances[k], worn)
             refined: Any = (
-                hybrid.Tracker(network, hybrid.TrackerSettings(**settings))
+                hybrid.Tracker(network, hybrid.TrackerSettings(**(TRACKER["imuposer"] | settings)))
                 if method == "hybrid"
                 else AdamEstimator(network, joints)
             )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from mocap.errors import PoserError, SensorError
 
@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 METHODS = ("dip", "imuposer", "imuposer-adam", "hybrid")
 NETWORKS = ("dip", "imuposer")
 MOST_DEVICES = 3  # that IMUPoser is trained on at a time
+# The hybrid's settings around each network, beside the defaults: what IMUPoser gets wrong changes faster. By
+# validation clips: `benchmarks/methods.py --split validation --part imuposer --tracker JSON`.
+TRACKER: dict[str, dict[str, Any]] = {"dip": {}, "imuposer": {"step_sigma_deg": 40.0}}
 _EVERYDAY = (("left_wrist", "right_pocket", "head"), ("left_wrist", "right_wrist", "head"))
 
 
@@ -149,7 +152,8 @@ def make(
         from learned.refine import AdamEstimator
 
         return AdamEstimator(estimator, tuple(joint.tolist()))
-    from hybrid import Tracker
+    from hybrid import Tracker, TrackerSettings
 
     seat = table_seat if seat is None else seat[read]
-    return Tracker(estimator, skeleton=skeleton, joint=joint, seat=seat)
+    settings = TrackerSettings(**TRACKER[which])
+    return Tracker(estimator, settings, skeleton=skeleton, joint=joint, seat=seat)
