@@ -105,8 +105,9 @@ def run(args: Namespace) -> int:
         if network == "imuposer" and not args.devices:
             estimators.check_devices(estimators.used(network, source.sensors))
         estimator = estimators.make(
-            args.method, source.rate_hz, source.sensors, network=args.network, skeleton=skeleton
-        )
+            args.method, source.rate_hz, source.sensors, network=args.network, skeleton=skeleton,
+            joint=source.joint, seat=source.seat,
+        )  # fmt: skip
         source.read(estimator.sensors)
         for text in args.sink:
             sinks.append(_sink(text, source, skeleton, args))

@@ -11,11 +11,13 @@ from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mocap import orientation as ori
 from mocap.calibration import Calibration
 from mocap.errors import PoserError
 from mocap.estimator import Sample, samples
+from mocap.orientation import Array
 from mocap.recording import Recording
 from poser.live import alignment
 from poser.live.addresses import Address
@@ -36,6 +38,16 @@ class Source(Protocol):
 
     rate_hz: float
     sensors: tuple[str, ...]
+
+    @property
+    def joint(self) -> NDArray[np.int64] | None:
+        """(S,) the joint that each sensor follows; None where only its name tells it."""
+        ...
+
+    @property
+    def seat(self) -> Array | None:
+        """(S,3) m where each sensor sits; None where only its name tells it."""
+        ...
 
     def read(self, sensors: tuple[str, ...]) -> None:
         """From now on samples are of these of its sensors, in this order."""
@@ -86,8 +98,9 @@ class Replay:
         self.read(recording.sensors)
 
     def read(self, sensors: tuple[str, ...]) -> None:
-        self.sensors = sensors
-        self._samples = samples(self._recording.select(sensors))
+        chosen = self._recording.select(sensors)
+        self.sensors, self.joint, self.seat = sensors, chosen.joint, chosen.placement
+        self._samples = samples(chosen)
         self._next: Sample | None = next(self._samples)
 
     def open(self) -> None:
@@ -212,6 +225,8 @@ class Network:
         clock: Clock = time.monotonic,
     ):
         self.rate_hz, self.sensors = assembler.rate_hz, sensors
+        self.joint: NDArray[np.int64] | None = None
+        self.seat: Array | None = None
         self._receiver, self._assembler, self._clock = receiver, assembler, clock
         self._where, self._table, self._watch = where, table, watch
         self._tracker = tracker

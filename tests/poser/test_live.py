@@ -10,13 +10,18 @@ import subprocess
 import sys
 import textwrap
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from mocap import formats
+from mocap.formats import native
 from mocap.motion import Motion
+from mocap.recording import Recording
+from poser import estimators as the_estimators
 from poser.__main__ import main
 from tests.poser.live.conftest import estimators  # noqa: F401 (a fixture)
 
@@ -38,6 +43,27 @@ def test_replay_to_a_file(live: Path, tmp_path: Path, answer: Any, estimators: A
     motion = formats.read(out).content
     assert isinstance(motion, Motion)
     assert (len(motion), motion.rate_hz) == (180, 60.0)
+
+
+def test_the_recordings_own_seats_reach_the_estimator(
+    live: Path, tmp_path: Path, answer: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording = formats.read(live).content
+    assert isinstance(recording, Recording)
+    own = replace(recording, placement=recording.placement + 0.01)
+    path = tmp_path / "own.npz"
+    native.write_recording(path, own)
+    seen: dict[str, Any] = {}
+    make = the_estimators.make
+
+    def noted(*args: Any, **more: Any) -> Any:
+        seen.update(more)
+        return make(*args, **more)
+
+    monkeypatch.setattr(the_estimators, "make", noted)
+    answer("live", "--source", path, "--speed", "max", "--seconds", 1, "--method", "dip")
+    np.testing.assert_allclose(seen["seat"], own.placement)
+    assert seen["joint"].tolist() == own.joint.tolist()
 
 
 def test_replay_at_its_own_pace_shows_the_latency(live: Path, tmp_path: Path, answer: Any) -> None:
