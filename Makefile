@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 # One clone may move: paths are relative, and the stamp follows what it was made from.
 
-.PHONY: help venv demo test lint types check bench bench-split bench-methods bench-real prior weights clean
+.PHONY: help venv demo test lint types check bench bench-split bench-methods bench-real bench-experiments bench-endurance prior weights clean
 
 help:
 	@echo "make demo         all methods on the built-in recording, with pictures and a report in poser-demo/"
@@ -14,6 +14,8 @@ help:
 	@echo "make bench-split  accuracy on the fixed test split (needs the data, see README)"
 	@echo "make bench-methods  DIP, IMUPoser and the hybrids on the fixed test split (needs the data)"
 	@echo "make bench-real   the real recording (needs the data)"
+	@echo "make bench-experiments  the papers' experiments: trains for hours (needs the data)"
+	@echo "make bench-endurance    ten hours of the tracker, one of each network"
 
 $(STAMP): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
@@ -53,6 +55,16 @@ bench-methods: $(STAMP)
 
 bench-real: $(STAMP)
 	$(BIN)/python benchmarks/real.py
+
+bench-experiments: $(STAMP)
+	for name in share hidden augmentation noise-gap dip-tables dip-networks normalisations one-clip \
+	    dip-window dip-histogram imuposer-devices imuposer-regions; do \
+	    $(BIN)/python benchmarks/experiments.py $$name || exit 1; done
+
+bench-endurance: $(STAMP)
+	$(BIN)/python benchmarks/endurance.py --hours 10
+	$(BIN)/python benchmarks/endurance.py --hours 1 --network dip
+	$(BIN)/python benchmarks/endurance.py --hours 1 --network imuposer
 
 weights: $(STAMP)
 	scripts/train_weights.sh $${POSER_CACHE:-$$HOME/.cache/poser}/runs/weights
