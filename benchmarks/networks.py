@@ -3,6 +3,7 @@
     python benchmarks/networks.py               a frame each way, against the plain forward in the same run
     python benchmarks/networks.py --minutes 60  memory over an hour of streaming (small network, full speed)
     python benchmarks/networks.py --adam        learning rate of imuposer-adam, CMU validation clips
+    python benchmarks/networks.py --refinement  a frame of the hybrid's refinement against ten Adam steps
 
 Weights: the shipped ones, others with --dip FILE, --imuposer FILE, none with --untrained. Each way takes its
 turn frame by frame, so that a change of the machine's speed meets all of them. "cpu" is the time of the
@@ -21,14 +22,17 @@ import torch
 from common import machine, resident_mb, row
 from torch import Tensor
 
+from hybrid import TrackerSettings
+from hybrid.refinement import Refinement
 from learned import checkpoint, online, runtime
 from learned import kinematics as kin
 from learned.features import COMBINATIONS, dip_pose, imuposer_input, imuposer_pose
 from learned.models import Dip, Imuposer, Model, build, for_network
-from learned.refine import AdamSettings, refine
+from learned.refine import CHAINS, AdamSettings, refine
 from learned.validation import cut, worn_in_turn
-from mocap import Motion, Recording, dataset, metrics, sensors, synthesis
-from mocap.estimator import replay, samples
+from mocap import Motion, Recording, dataset, metrics, orientation, sensors, synthesis
+from mocap.estimator import Pose, replay, samples
+from mocap.skeleton import Skeleton
 from poser import motions
 
 WIDTHS = (34, 9, 9, 9, 9, 11, 10)
@@ -164,11 +168,78 @@ def refined(motion: Motion, recording: Recording, settings: AdamSettings) -> Mot
     return replace(motion, R_parent_joint=R)
 
 
+def refinement(frames: int) -> None:
+    """One frame of IMUPoser's poses refined three ways, a watch, a phone and earphones worn: the hybrid's QP,
+    ten Adam steps by their closed-form gradient (`learned.refine`), and the same steps by autograd through
+    the kinematics of 24 joints, as a network's code would have them."""
+    worn = ("left_wrist", "right_pocket", "head")
+    truth = motions.builtin(25.0)
+    made = synthesis.recording(truth, worn, synthesis.Noise(), 0)
+    joint, seat = sensors.joints_and_seats(worn)
+    joints = tuple(int(j) for j in joint)
+    qp = Refinement(Skeleton.default(), joint, seat, TrackerSettings())
+    rng = np.random.default_rng(0)
+    error = orientation.exp(np.deg2rad(12.0) * rng.normal(size=(24, 3)))
+    spread = rng.normal(size=(72, 72)) * 0.02
+    covariance = spread @ spread.T + 0.03 * np.eye(72)
+    times: dict[str, list[float]] = {
+        "hybrid's refinement": [],
+        "Adam, closed form": [],
+        "Adam, autograd": [],
+    }
+    memory, apart = qp.start(), 0.0
+    for k, sample in zip(range(frames), samples(made), strict=False):
+        R = truth.R_parent_joint[k] @ error
+        pose = Pose(sample.time_s, R, np.zeros(3), np.full((24, 3), 0.2), "", covariance)
+        began = time.perf_counter()
+        memory, _ = qp.refine(memory, pose, sample, 1 / 25)
+        times["hybrid's refinement"].append(time.perf_counter() - began)
+        began = time.perf_counter()
+        closed = refine(R, joints, sample.R_world_bone, AdamSettings())
+        times["Adam, closed form"].append(time.perf_counter() - began)
+        began = time.perf_counter()
+        automatic = by_autograd(R, joints, sample.R_world_bone, AdamSettings())
+        times["Adam, autograd"].append(time.perf_counter() - began)
+        apart = max(apart, float(orientation.angle_between(closed, automatic).max()))
+    print(row(("one frame, three devices", "p50 ms", "p99 ms"), WIDTHS))
+    for name, found in times.items():
+        ms = 1e3 * np.array(found[2:])
+        print(row((name, f"{np.median(ms):.2f}", f"{np.percentile(ms, 99):.2f}"), WIDTHS))
+    print(f"the two Adams end at most {np.rad2deg(apart):.2g} deg apart")
+
+
+def by_autograd(
+    R_parent_joint: np.ndarray,
+    joints: tuple[int, ...],
+    R_measured: np.ndarray,
+    settings: AdamSettings,
+) -> np.ndarray:
+    """What `learned.refine.refine` does, gradients by torch; each step's rotation vectors start at zero."""
+    moving = [j for joint in joints for j in CHAINS[joint]]
+    R = torch.as_tensor(R_parent_joint, dtype=torch.float32)
+    target = torch.as_tensor(R_measured, dtype=torch.float32)
+    turn = torch.zeros(len(moving), 3, requires_grad=True)
+    steps = torch.optim.Adam(
+        [turn], settings.learning_rate, (settings.beta1, settings.beta2), settings.epsilon
+    )
+    for _ in range(settings.steps):
+        steps.zero_grad()
+        turned = R.clone()
+        turned[moving] = R[moving] @ kin.exp(turn)
+        torch.mean((kin.rotations(turned)[list(joints)] - target).square()).backward()
+        steps.step()
+        with torch.no_grad():
+            R[moving] = R[moving] @ kin.exp(turn)
+            turn.zero_()
+    return R.double().numpy()
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--frames", type=int, default=40)
     parser.add_argument("--minutes", type=float)
     parser.add_argument("--adam", action="store_true")
+    parser.add_argument("--refinement", action="store_true")
     parser.add_argument("--clips", type=int, default=12)
     parser.add_argument("--untrained", action="store_true")
     parser.add_argument("--dip", type=Path)
@@ -179,6 +250,8 @@ def main() -> None:
     files = {"dip": args.dip, "imuposer": args.imuposer}
     if args.adam:
         adam(model_of("imuposer", args.imuposer, args.untrained), args.clips)
+    elif args.refinement:
+        refinement(max(60, args.frames))
     elif args.minutes:
         for network in files:
             memory(network, args.minutes)
