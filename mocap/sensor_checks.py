@@ -34,6 +34,7 @@ BAD_DEG, BAD_EXCHANGED_DEG = 13.0, 25.0
 SURE_DEG = 25.0  # above which it is an error and not only a warning
 FAST, FASTEST = 20.0, 60.0  # rad/s: people seldom turn faster; no usual gyroscope measures faster
 GOOD_DEG = 8.0  # what a right reading reaches: gyr bias, and acc that is not quite calm
+SURE_SIGMAS = 4.0  # of the mean gain of another reading over its windows
 GRAVITY_RANGE = (9.3, 10.3)  # m/s^2: more than bias and scale of any usual sensor
 RESTLESS = 0.5  # m/s^2: the sensor never rests, so a small excess says nothing
 AXES = "xyz"
@@ -235,9 +236,11 @@ def _against_orientation(
             head = f"sensor {name}: gyr is not the rate of its orientation ({off[0]:.0%} off): "
             found.append(_named(name, head, M, "gyr", off[0]))
     up, f = _means(np.where(has[:, None], np.nan_to_num(R[:, 1, :]), 0.0), n), _means(acc, n)
-    off = [_relative(up * ori.GRAVITY, f @ M.T) for M in readings]
-    best = int(np.argmin(off))
-    if off[0] > 0.25 and off[best] < 0.4 * off[0]:
+    left = np.array([np.sum((up * ori.GRAVITY - f @ M.T) ** 2, axis=1) for M in readings])
+    off = np.sqrt(left.mean(axis=1)) / ori.GRAVITY
+    # Of readings that do about equally well, the simplest: they are sorted.
+    best = int(np.flatnonzero(off <= 1.1 * off.min())[0])
+    if off[best] < 0.85 * off[0] and _steady(left[0] - left[best]):
         head = f"sensor {name}: acc does not point up in its orientation ({off[0]:.0%} off): "
         found.append(_named(name, head, readings[best], "acc", off[0]))
     return found
@@ -247,6 +250,11 @@ def _means(x: Array, n: int) -> Array:
     """Means of consecutive blocks of n rows."""
     m = len(x) // n
     return x[: m * n].reshape(m, n, -1).mean(axis=1)
+
+
+def _steady(gain: Array) -> bool:
+    """Whether the mean of gains (W,) lies above zero by `SURE_SIGMAS` of its standard errors."""
+    return bool(gain.mean() > SURE_SIGMAS * gain.std(ddof=1) / np.sqrt(len(gain)))
 
 
 def _relative(a: Array, b: Array) -> float:

@@ -69,11 +69,20 @@ def unwrapped(w: Array) -> Array:
 
 
 def from_motion(motion: Motion, prior: Conditioned) -> tuple[Array, Array]:
-    """x (T,n) and R_ref (T,3,3) of a motion: its own root, body angles without jumps (`unwrapped`)."""
+    """x (T,n) and R_ref (T,3,3) of a motion: its own root, body angles without jumps (`unwrapped`).
+
+    A joint whose jump is a fault of the motion (a rig that flips) would be carried round past its limits,
+    from where no solve brings it back: it keeps its principal chart.
+    """
     T = len(motion)
     x = np.zeros((T, 6 + len(prior.active)))
     x[:, ROOT_P] = motion.p_world_root - motion.p_world_root[0]
-    x[:, BODY] = unwrapped(ori.log(motion.R_parent_joint[:, 1:])).reshape(T, 69)[:, prior.active]
+    principal = ori.log(motion.R_parent_joint[:, 1:])
+    smooth = unwrapped(principal)
+    lower, upper = (b.reshape(23, 3) for b in (prior.prior.lower, prior.prior.upper))
+    past = [np.abs(w - np.clip(w, lower, upper)).sum(axis=(0, 2)) for w in (principal, smooth)]
+    angles = np.where((past[1] <= past[0])[:, None], smooth, principal)
+    x[:, BODY] = angles.reshape(T, 69)[:, prior.active]
     return x, np.array(motion.R_parent_joint[:, 0])
 
 

@@ -43,6 +43,12 @@ def noisy(motion: Motion) -> RawRecording:
     return make(motion, "realistic", 1)
 
 
+@pytest.fixture(scope="module", params=["none", "realistic"])
+def short(request: pytest.FixtureRequest) -> RawRecording:
+    """The programme once, the six sensors of DIP."""
+    return make(builtin(60.0, 22.6), request.param, 0, places.SIX)
+
+
 def edited(raw: RawRecording, sensor: str, gyr=None, acc=None) -> RawRecording:
     """`raw` with functions applied to one sensor's gyr and acc (T,3)."""
     s = raw.sensors.index(sensor)
@@ -99,6 +105,18 @@ def test_flipped_axes(clean: RawRecording, sensor: str, with_R: bool) -> None:
     findings = diagnose(edited(raw, sensor, acc=flip(0)))
     assert (sensor, "acc-axes") in found(findings)
     assert "axis x of acc is reversed" in findings[0].sentence
+
+
+@pytest.mark.parametrize("sensor", ["left_forearm", "right_forearm", "left_shank", "head"])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_flipped_axes_of_a_short_recording_of_six(
+    short: RawRecording, sensor: str, axis: int
+) -> None:
+    """22 s of the programme: half-second means still hold as much of the body's acceleration as half of g."""
+    assert not [f for f in diagnose(short) if f.code.endswith("axes")]
+    findings = diagnose(edited(short, sensor, acc=flip(axis)))
+    assert found(findings) & {(sensor, "acc-axes")}
+    assert f"axis {'xyz'[axis]} of acc is reversed" in findings[0].sentence
 
 
 def test_exchanged_axes(clean: RawRecording) -> None:

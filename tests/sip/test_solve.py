@@ -13,6 +13,7 @@ from mocap import orientation as ori
 from mocap.errors import SolveError
 from poser.motions import walk
 from sip import Settings, initial, solve
+from sip.prior import shipped
 from sip.solve import windows
 from tests.sip.conftest import wavy
 
@@ -150,6 +151,21 @@ def test_a_start_past_a_half_turn_does_not_jump() -> None:
         assert np.allclose(ori.exp(smooth), R, atol=1e-9)
     still = np.zeros((5, 2, 3))
     assert np.array_equal(initial.unwrapped(still), still)
+
+
+def test_a_start_whose_rig_flips_stays_within_the_limits() -> None:
+    """A wrist that jumps from 100 degrees to -90: a fault of the motion, not a turn past the half."""
+    motion = wavy(40)
+    R = np.array(motion.R_parent_joint)
+    angle = np.deg2rad(np.where(np.arange(40) < 30, 100.0, -90.0))
+    R[:, 20] = ori.rot_x(angle)
+    conditioned = shipped().given(tuple(range(1, 24)), 0.05)
+    x, _ = initial.from_motion(replace(motion, R_parent_joint=R), conditioned)
+    wrist = x[:, 6 + 57 : 6 + 60]
+    assert np.allclose(ori.exp(wrist), R[:, 20], atol=1e-9)
+    assert np.abs(wrist).max() <= np.deg2rad(100) + 1e-9
+    carried_round = initial.unwrapped(ori.log(R[:, 1:]))[:, 19]
+    assert np.abs(carried_round).max() > np.deg2rad(260)
 
 
 @pytest.mark.parametrize("frames", [1, 99, 100, 101, 250, 999])
