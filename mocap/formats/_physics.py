@@ -85,9 +85,9 @@ def _accelerometer(path: Path, rec: RawRecording) -> list[str]:
 def _guess(size: float) -> str:
     """What explains an accelerometer that reads `size` where gravity alone acts."""
     if abs(size - 1) < 0.3:
-        return ", so the unit is g (say units g)"
+        return ", so the unit is g (--units g)"
     if abs(size / GRAVITY**2 - 1) < 0.3:
-        return ", so it was m/s^2 already (say units m/s^2)"
+        return ", so it was m/s^2 already (--units m/s^2)"
     if abs(size - 1000) < 300:
         return ", so the unit is mg"
     return ", so gravity was removed, and raw acceleration must hold it" if size < 0.5 else ""
@@ -144,10 +144,10 @@ def _gyroscope(path: Path, rec: RawRecording) -> list[str]:
         fast = _fastest(rec, s)
         if (ratio is not None and ratio > 15) or (ratio is None and fast > FASTEST):
             found = f"{ratio:.0f} times what {by}" if ratio else f"up to {fast:.0f} rad/s"
-            raise FormatError(path, f"{found}: in degrees (say units deg/s)?", where)
+            raise FormatError(path, f"{found}: in degrees (--units deg/s)?", where)
         if ratio is not None and ratio < 1 / 15:
             found = f"{1 / ratio:.0f} times less than {by}"
-            raise FormatError(path, f"{found}: in rad already (say units rad/s)?", where)
+            raise FormatError(path, f"{found}: in rad already (--units rad/s)?", where)
         if ratio is not None and by.startswith("the") and not 0.5 < ratio < 2:
             doubts.append(f"{where}: {ratio:.2f} times the rate at which the orientation turns")
     return doubts
@@ -240,7 +240,7 @@ def against_reference(path: Path, rec: Recording) -> list[str]:
                 doubts.append(f"sensor {name}: {deg:.0f} deg (median) from the reference's bone")
     ratio = _acc_ratio(rec)
     if ratio is not None and not 0.25 < ratio < 4:
-        unit = ": in g (say units g)?" if 0.06 < ratio < 0.16 else ""
+        unit = ": in g (--units g)?" if 0.06 < ratio < 0.16 else ""
         raise FormatError(
             path, f"{ratio:.2g} times what the reference motion gives{unit}", "acc_world"
         )

@@ -16,6 +16,7 @@ from mocap.errors import FormatError, PoserError
 from mocap.formats import Content, Document, Format, Options, _checks, _npz, _physics
 from mocap.formats._files import write_aside
 from mocap.motion import Motion
+from mocap.orientation import GRAVITY
 from mocap.recording import RawRecording, Recording
 from mocap.skeleton import Skeleton
 
@@ -67,14 +68,18 @@ def read_recording(path: str | Path, options: Options | None = None) -> Recordin
 def read_raw(path: str | Path, options: Options | None = None) -> RawRecording:
     """A raw recording of a "poser-raw/1" file.
 
-    gyr (T,S,3) rad/s, acc (T,S,3) m/s^2 with gravity, in the sensors' frames. Raises FormatError
-    naming the field that is missing or does not fit, also for a file of another schema.
+    gyr (T,S,3) rad/s, acc (T,S,3) m/s^2 with gravity, in the sensors' frames; "g" and "deg/s" among the
+    options' units say that a file, against the schema, has those. Raises FormatError naming the field that
+    is missing or does not fit, also for a file of another schema.
     """
     path = Path(path)
     fields = _fields(path, RAW)
+    units = options.units if options is not None else frozenset()
+    acc_unit = GRAVITY if "g" in units else 1.0
+    gyr_unit = np.pi / 180 if "deg/s" in units else 1.0
     sensors = fields.texts("sensors")
     S = len(sensors)
-    acc = fields.floats("acc", (None, S, 3))
+    acc = fields.floats("acc", (None, S, 3)) * acc_unit
     T = len(acc)
     rate = fields.number("rate_hz")
     has_R = "R_world_sensor" in fields
@@ -83,7 +88,7 @@ def read_raw(path: str | Path, options: Options | None = None) -> RawRecording:
         RawRecording,
         rate_hz=rate,
         sensors=sensors,
-        gyr=fields.floats("gyr", (T, S, 3)),
+        gyr=fields.floats("gyr", (T, S, 3)) * gyr_unit,
         acc=acc,
         mag=fields.floats("mag", (T, S, 3)) if "mag" in fields else None,
         R_world_sensor=fields.floats("R_world_sensor", (T, S, 3, 3)) if has_R else None,

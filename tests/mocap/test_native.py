@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from mocap import orientation as ori
+from mocap import synthesis
 from mocap.errors import FormatError
 from mocap.formats import Options
 from mocap.formats.native import FORMAT, read_raw, read_recording, write_raw, write_recording
@@ -16,6 +18,7 @@ from mocap.motion import Motion
 from mocap.recording import RawRecording, Recording
 from mocap.sensors import SIX
 from mocap.skeleton import Skeleton
+from poser import motions
 
 
 def _motion(rng: np.random.Generator, T: int = 40, height: float | None = None) -> Motion:
@@ -174,3 +177,18 @@ def test_a_bomb(tmp_path: Path) -> None:
             f.write(bytes(1 << 20))
     with pytest.raises(FormatError, match="array 'acc': 80 MiB packed in"):
         FORMAT.read(tmp_path / "small.npz", Options())
+
+
+def test_units_against_the_schema_are_read_where_they_are_said(tmp_path: Path) -> None:
+    """A file that somebody wrote in g and deg/s: refused with the option's name, read with it."""
+    raw = synthesis.raw_recording(
+        motions.builtin(60.0, 8.0), ("pelvis", "head"), synthesis.Noise(), 0
+    )
+    path = tmp_path / "raw.npz"
+    write_raw(path, replace(raw, acc=raw.acc / ori.GRAVITY, gyr=np.degrees(raw.gyr)))
+    with pytest.raises(FormatError, match=r"--units g\)"):
+        FORMAT.read(path, Options())
+    again = FORMAT.read(path, Options(units=frozenset({"g", "deg/s"}))).content
+    assert isinstance(again, RawRecording)
+    np.testing.assert_allclose(again.acc, raw.acc, atol=1e-9)
+    np.testing.assert_allclose(again.gyr, raw.gyr, atol=1e-9)
