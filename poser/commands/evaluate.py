@@ -1,11 +1,15 @@
 """How far a motion is from a reference, under the field's names.
 
-REFERENCE is a motion, or a recording that holds a reference motion.
+REFERENCE is a motion, or a recording that holds a reference motion. Beside the motion stand two answers that
+need no skill: the mean pose of the training motion, and for each frame the training pose that is nearest by
+the sensors' relative orientations (where no recording is given, of
+six clean virtual sensors on the reference).
 """
 
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -60,15 +64,17 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def run(args: Namespace) -> int:
-    found = _evaluate(args)
+    found, others = _evaluate(args)
     if args.json:
-        emit(found.to_json())
+        emit(found.to_json() | {"no_skill": {name: m.to_json() for name, m in others.items()}})
     else:
-        table(("metric", "value", "unit", "name"), rows(found))
+        names = (name.replace("-", " ") for name in others)
+        table(("metric", "value", *names, "unit", "name"), rows(found, list(others.values())))
     return DONE
 
 
-def _evaluate(args: Namespace) -> Metrics:
+def _evaluate(args: Namespace) -> tuple[Metrics, dict[str, Metrics]]:
+    """The motion's figures, and those of the two rows that need no skill."""
     from mocap import metrics
     from mocap.formats import Options
     from mocap.skeleton import Skeleton
@@ -82,9 +88,44 @@ def _evaluate(args: Namespace) -> Metrics:
         with files.about(args.recording or args.reference):
             available = None if recording is None else recording.sensors
             seen = options.sensors(args.sensors, available)
+    if reference is not None and recording is not None:
+        _same_time(args.recording or args.reference, recording, reference)
     smpl = Skeleton.from_smpl_file(args.smpl) if args.smpl else None
     with files.about(args.motion):
-        return metrics.evaluate(motion, reference, recording=recording, seen=seen, smpl=smpl)
+        found = metrics.evaluate(motion, reference, recording=recording, seen=seen, smpl=smpl)
+    others = {
+        name: metrics.evaluate(other, reference, recording=recording, seen=seen, smpl=smpl)
+        for name, other in _no_skill(reference, recording, seen)
+    }
+    return found, others
+
+
+def _same_time(path: Path, recording: Recording, reference: Motion) -> None:
+    """Raises FormatError where they differ by more than a frame."""
+    lasts = [len(x) / x.rate_hz for x in (recording, reference)]
+    if abs(lasts[0] - lasts[1]) > 1.5 / min(recording.rate_hz, reference.rate_hz):
+        raise FormatError(
+            path, f"lasts {lasts[0]:.2f} s, the reference {lasts[1]:.2f} s: a solve of a part can only be "
+            f"compared with a recording of that part (poser compare --from --to does both)",
+        )  # fmt: skip
+
+
+def _no_skill(
+    reference: Motion | None, recording: Recording | None, seen: tuple[str, ...] | None
+) -> list[tuple[str, Motion]]:
+    from mocap import noskill, sensors, synthesis
+    from sip.prior import shipped
+
+    if recording is None:
+        assert reference is not None  # or there was nothing to compare with
+        recording = synthesis.recording(reference, sensors.SIX)
+    elif seen:
+        recording = recording.select(seen)
+    prior = shipped()
+    return [
+        ("mean-pose", noskill.mean_pose(recording, prior.mean)),
+        ("nearest-pose", noskill.nearest_pose(recording, prior.poses)),
+    ]
 
 
 def _reference(args: Namespace, reading: Options) -> tuple[Motion | None, Recording | None]:
@@ -102,15 +143,16 @@ def _reference(args: Namespace, reading: Options) -> tuple[Motion | None, Record
     return content.reference, recording
 
 
-def rows(found: Metrics) -> list[tuple[str, str, str, str]]:
-    """The figures that are defined, for a table."""
-    out = []
+def rows(found: Metrics, others: Sequence[Metrics]) -> list[tuple[str, ...]]:
+    """The figures that are defined, for a table: the motion's, then the others'."""
+    out: list[tuple[str, ...]] = []
     for name, words, unit in LABELS:
-        value = getattr(found, name)
-        if value is not None:
-            out.append((words, f"{value:.2f}", unit, name))
+        if getattr(found, name) is not None:
+            values = [getattr(m, name) for m in (found, *others)]
+            out.append((words, *("-" if v is None else f"{v:.2f}" for v in values), unit, name))
+    blank = [""] * len(others)  # they say nothing of where the body is
     for seconds, value in (found.translation_m or {}).items():
         if value is not None:
-            out.append((f"drift after {seconds} s", f"{value:.2f}", "m", "translation_m"))
-    out.append(("frames compared", str(found.frames), "", "frames"))
+            out.append((f"drift after {seconds} s", f"{value:.2f}", *blank, "m", "translation_m"))
+    out.append(("frames compared", str(found.frames), *blank, "", "frames"))
     return out

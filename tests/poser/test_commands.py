@@ -297,7 +297,10 @@ def test_sets_and_names_of_sensors_may_be_mixed() -> None:
 
 def test_evaluate_names_and_nulls(folder: Path, answer: Answer) -> None:
     found = answer("evaluate", folder / "sip.npz", folder / "rec" / "walk.npz")
-    assert tuple(found) == ("frames", "rate_hz", *metrics.JSON_NAMES[2:])
+    assert tuple(found) == ("frames", "rate_hz", *metrics.JSON_NAMES[2:], "no_skill")
+    assert tuple(found["no_skill"]) == ("mean-pose", "nearest-pose")
+    for other in found["no_skill"].values():
+        assert other["sip_deg"] > found["sip_deg"] and other["frames"] == found["frames"]
     assert found["mesh_cm"] is None
     assert found["left_out_deg"] is None
     assert 0 < found["instrumented_deg"] < 30
@@ -318,11 +321,20 @@ def test_evaluate_for_people(folder: Path, capsys: pytest.CaptureFixture[str]) -
     assert main(["evaluate", str(folder / "sip.npz"), str(folder / "walk.npz")]) == 0
     out = capsys.readouterr().out
     assert "sip_deg" in out and "deg" in out and "cm" in out
+    assert "mean pose" in out and "nearest pose" in out
 
 
 def test_evaluate_refuses(folder: Path, refusal: Refusal) -> None:
     _, sentence = refusal("evaluate", folder / "sip.npz", folder / "long.npz")
     assert "sip.npz" in sentence and "one frame at most" in sentence
+    _, sentence = refusal(
+        "evaluate",
+        folder / "long.npz",
+        folder / "long.npz",
+        "--recording",
+        folder / "rec" / "walk.npz",
+    )
+    assert "walk.npz: lasts" in sentence and "a recording of that part" in sentence
     _, sentence = refusal("evaluate", folder / "rec" / "walk.npz", folder / "walk.npz")
     assert "expected a motion" in sentence
 
