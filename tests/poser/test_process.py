@@ -106,10 +106,17 @@ def test_ctrl_c_leaves_no_half_file(tmp_path: Path, solver: str) -> None:
     out.mkdir()
     line = [sys.executable, "-m", "poser", "solve", str(recording)]
     line += ["-o", str(out / "m.npz"), "--solver", solver]
-    process = subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    time.sleep(2.5)
-    process.send_signal(signal.SIGINT)
-    stdout, stderr = process.communicate(timeout=60)
+    for wait_s in (
+        2.5,
+        6.0,
+        12.0,
+    ):  # on a busy machine Python itself is still starting after the first
+        process = subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        time.sleep(wait_s)
+        process.send_signal(signal.SIGINT)
+        stdout, stderr = process.communicate(timeout=60)
+        if process.returncode != -signal.SIGINT:
+            break
     assert process.returncode == 130
     assert stdout == ""
     assert stderr.splitlines()[-1] == "poser solve: interrupted"

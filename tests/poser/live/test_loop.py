@@ -192,19 +192,23 @@ def test_over_the_network(recording: Recording, free_port: int, kind: str) -> No
     decode = packets.from_json if kind == "udp" else osc.from_osc
     encode = line if kind == "udp" else osc.imu_message
     sent = [(at, encode(p)) for at, p in packets_of(recording, start_s=1e5)]
-    receiver = Receiver(Address("127.0.0.1", free_port), decode)
     sensors = recording.sensors
-    box = Assembler(sensors, recording.rate_hz)
     where = {n: n for n in sensors}
-    source = Network(receiver, box, sensors, where, seconds=2.4)
-    sink = Collect()
-    sender = Sender(free_port, sent)
-    threading.Timer(0.1, sender.start).start()
-    report = drive(source, [sink])
-    sender.join()
-    facts = report.source
-    assert facts["rejected"] == {}
-    assert sum(d["lost"] + d["clock"] for d in facts["devices"].values()) == 0
+    for _ in range(3):  # a machine that stops for a while loses datagrams: then once more
+        receiver = Receiver(Address("127.0.0.1", free_port), decode)
+        box = Assembler(sensors, recording.rate_hz)
+        source = Network(receiver, box, sensors, where, seconds=2.4)
+        sink = Collect()
+        sender = Sender(free_port, sent)
+        threading.Timer(0.1, sender.start).start()
+        report = drive(source, [sink])
+        sender.join()
+        facts = report.source
+        assert facts["rejected"] == {}
+        missing = sum(d["lost"] + d["clock"] for d in facts["devices"].values())
+        if missing == 0 and len(sink.poses) >= len(recording):
+            break
+    assert missing == 0
     assert len(sink.poses) >= len(recording)
     # A busy machine sends late now and then; orientations move 0.1 rad in such a while.
     estimator, state, off, moved = Hold(recording.rate_hz, sensors), (), [], []

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from mocap import orientation as ori
@@ -117,6 +117,7 @@ values = (
 )
 
 
+@settings(suppress_health_check=[HealthCheck.too_slow], deadline=None)  # a busy machine is no fault
 @given(st.fixed_dictionaries({}, optional=dict.fromkeys((*GOOD, "screen", "distances"), values)))
 def test_any_object_is_taken_or_refused(fields: dict[str, Any]) -> None:
     for change in (fields, GOOD | fields):
