@@ -28,11 +28,10 @@ from mocap import orientation as ori
 from mocap.estimator import Estimator, Pose, Sample, samples
 from mocap.formats._files import write_aside
 from poser import motions
-from poser.estimators import make
+from poser.estimators import devices_of, make
 
 TROUBLES = ("nan", "unplugged", "exchanged", "zero", "clock")
 EVERY_S, LASTS_S = 7.0, 0.5
-DEVICES = ("left_wrist", "right_pocket", "head")
 
 
 class Looped(StandIn):
@@ -84,7 +83,9 @@ def main() -> None:
     parser.add_argument("--network", default="stand-in", choices=("stand-in", "dip", "imuposer"))
     parser.add_argument("-o", "--output", type=Path, help="where the state is kept")
     args = parser.parse_args()
-    rate, names = (25.0, DEVICES) if args.network == "imuposer" else (60.0, sensors.SIX)
+    rate, names = (
+        (25.0, devices_of(sensors.FIVE)) if args.network == "imuposer" else (60.0, sensors.SIX)
+    )
     truth = motions.builtin(rate)
     recording: Recording = synthesis.recording(truth, names, synthesis.Noise(), 0)
     tracker: Estimator = (

@@ -44,9 +44,8 @@ from mocap.synthesis import Noise
 
 CMU_SHARE = 0.65
 CLEAN = Noise.none()
-COOLDOWN = (
-    0.35  # runs are short beside the papers': without it the last steps' noise is what is compared
-)
+# Runs are short beside the papers': without it the last steps' noise is what is compared.
+COOLDOWN = 0.35
 STRIDE = 5  # frames between those looked at, where 24 combinations are compared
 
 

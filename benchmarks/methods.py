@@ -119,10 +119,7 @@ def dip_clip(job: tuple[str, Motion, str | None, dict[str, Any]]) -> list[dict[s
     )
     prior = shipped()
     out = []
-    for method, found in (
-        ("mean-pose", noskill.mean_pose(recording, prior.mean)),
-        ("nearest-pose", noskill.nearest_pose(recording, prior.poses)),
-    ):
+    for method, found in noskill.both(recording, prior.mean, prior.poses).items():
         out.append({"clip": name, "method": method} | figures(found, motion, recording, None))
     chosen = Path(weights) if weights else None
     dip = make("dip", 60.0, sensors.SIX, weights=chosen)
@@ -160,6 +157,8 @@ def imuposer_clip(job: tuple[str, Motion, str | None, dict[str, Any]]) -> list[d
     assert isinstance(model, Imuposer)
     covariances = [c.double().numpy() for c in model.error_covariance]
     runtime.one_thread()
+    awake = runtime.prepare(model, runtime.fastest())
+    width = model.net.head.in_features
     for k, combination in enumerate(COMBINATIONS):
         worn = tuple(sensors.FIVE[place] for place in combination)
         whole = everything.select(worn)
@@ -168,8 +167,6 @@ def imuposer_clip(job: tuple[str, Motion, str | None, dict[str, Any]]) -> list[d
         joints = tuple(sensors.lookup(n).joint for n in worn)
         still = noskill.mean_pose(recording, mean)
         out.append(label | {"method": "mean-pose"} | figures(still, motion, recording, None))
-        awake = runtime.prepare(model, runtime.fastest())
-        width = model.net.head.in_features
         window = ImuposerWindow(model, worn, runtime=Asleep(awake, max(0, before - EARLY), width))
         run = replay(Online(window, IMUPOSER_HZ), whole)
         poses = run.motion.slice(before, len(whole))

@@ -34,6 +34,7 @@ from mocap import Motion, Recording, dataset, metrics, orientation, sensors, syn
 from mocap.estimator import Pose, replay, samples
 from mocap.skeleton import Skeleton
 from poser import motions
+from poser.estimators import devices_of
 
 WIDTHS = (34, 9, 9, 9, 9, 11, 10)
 
@@ -172,7 +173,7 @@ def refinement(frames: int) -> None:
     """One frame of IMUPoser's poses refined three ways, a watch, a phone and earphones worn: the hybrid's QP,
     ten Adam steps by their closed-form gradient (`learned.refine`), and the same steps by autograd through
     the kinematics of 24 joints, as a network's code would have them."""
-    worn = ("left_wrist", "right_pocket", "head")
+    worn = devices_of(sensors.FIVE)
     truth = motions.builtin(25.0)
     made = synthesis.recording(truth, worn, synthesis.Noise(), 0)
     joint, seat = sensors.joints_and_seats(worn)

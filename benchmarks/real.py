@@ -59,10 +59,8 @@ def main() -> None:
             print(row(("six sensors", "seconds", *NAMES), widths))
             six = piece.select(sensors.SIX)
             prior = shipped()
-            solved = {
-                "mean-pose": (noskill.mean_pose(six, prior.mean), 0.0),
-                "nearest-pose": (noskill.nearest_pose(six, prior.poses), 0.0),
-            }
+            still = noskill.both(six, prior.mean, prior.poses)
+            solved = {name: (motion, 0.0) for name, motion in still.items()}
             for terms in ("sop", "sip"):
                 s = sip.solve(six, settings=replace(settings, terms=terms))
                 solved[terms] = (s.motion, s.seconds)

@@ -23,6 +23,16 @@ from mocap.skeleton import Skeleton
 CHUNK = 512  # frames compared with the bank at a time
 
 
+def both(
+    recording: Recording, mean: ArrayLike, poses: ArrayLike, skeleton: Skeleton | None = None
+) -> dict[str, Motion]:
+    """The two rows under their names in every table: "mean-pose" and "nearest-pose"."""
+    return {
+        "mean-pose": mean_pose(recording, mean, skeleton),
+        "nearest-pose": nearest_pose(recording, poses, skeleton),
+    }
+
+
 def mean_pose(recording: Recording, mean: ArrayLike, skeleton: Skeleton | None = None) -> Motion:
     """Every frame in the pose `mean`: 69 axis-angle numbers, rad, of joints 1 to 23.
 

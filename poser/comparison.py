@@ -207,10 +207,7 @@ def _no_skill(recording: Recording, seen: tuple[str, ...], reference: Motion) ->
 
     prior, chosen = shipped(), recording.select(seen)
     out = {}
-    for name, motion in (
-        ("mean-pose", noskill.mean_pose(chosen, prior.mean)),
-        ("nearest-pose", noskill.nearest_pose(chosen, prior.poses)),
-    ):
+    for name, motion in noskill.both(chosen, prior.mean, prior.poses).items():
         found = metrics.evaluate(motion, reference, recording=recording, seen=seen)
         out[name] = Result(motion, found, {"used_sensors": list(seen)})
     return out

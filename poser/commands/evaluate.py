@@ -95,7 +95,7 @@ def _evaluate(args: Namespace) -> tuple[Metrics, dict[str, Metrics]]:
         found = metrics.evaluate(motion, reference, recording=recording, seen=seen, smpl=smpl)
     others = {
         name: metrics.evaluate(other, reference, recording=recording, seen=seen, smpl=smpl)
-        for name, other in _no_skill(reference, recording, seen)
+        for name, other in _no_skill(reference, recording, seen).items()
     }
     return found, others
 
@@ -112,7 +112,7 @@ def _same_time(path: Path, recording: Recording, reference: Motion) -> None:
 
 def _no_skill(
     reference: Motion | None, recording: Recording | None, seen: tuple[str, ...] | None
-) -> list[tuple[str, Motion]]:
+) -> dict[str, Motion]:
     from mocap import noskill, sensors, synthesis
     from sip.prior import shipped
 
@@ -122,10 +122,7 @@ def _no_skill(
     elif seen:
         recording = recording.select(seen)
     prior = shipped()
-    return [
-        ("mean-pose", noskill.mean_pose(recording, prior.mean)),
-        ("nearest-pose", noskill.nearest_pose(recording, prior.poses)),
-    ]
+    return noskill.both(recording, prior.mean, prior.poses)
 
 
 def _reference(args: Namespace, reading: Options) -> tuple[Motion | None, Recording | None]:
