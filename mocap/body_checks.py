@@ -1,9 +1,9 @@
 """What the sensors betray together: movement in the pose, exchanged sides, slipped sensors, lags.
 
 What cannot be seen, said plainly: a mirror image of the whole body is a possible body, so left and right
-exchanged on every limb at once show only where the arms leave a T-pose or the upper arms are raised;
-exchanged forearms without any other sensor on the arms do not show; neither does a sensor that turned
-about the vertical, nor one that slipped with no still, upright moment afterwards.
+exchanged on every limb at once show only where the arms leave a T-pose or the upper arms are raised, and
+by how people move (`mocap.side_checks`); a sensor that turned about the vertical does not show, nor one
+that slipped with no still, upright moment afterwards.
 """
 
 from __future__ import annotations

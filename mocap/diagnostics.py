@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mocap import body_checks, fusion, sensor_checks
+from mocap import body_checks, fusion, sensor_checks, side_checks
 from mocap import facing as face
 from mocap import orientation as ori
 from mocap import sensors as places
@@ -78,6 +78,8 @@ def check_result(
     found += body_checks.check_leaning(raw, window, pose)
     if (sigma < np.radians(SIDES_DEG)).all():
         found += body_checks.check_sides(raw, pose, facing, name)
+    known = {f.sensor for f in found if f.code == "swapped" and f.sensor}
+    found += side_checks.check_pairs(raw, pose, facing, sigma, name, known)
     return found + _facing(raw, window, pose, facing, sigma, name)
 
 

@@ -119,6 +119,57 @@ def test_flipped_axes_of_a_short_recording_of_six(
     assert f"axis {'xyz'[axis]} of acc is reversed" in findings[0].sentence
 
 
+# What symmetric, clean motion hides: a head that never tilts sideways never sees gravity along that axis.
+UNSEEN = {("none", "head", 0), ("none", "pelvis", 2)}
+
+
+@pytest.mark.parametrize("sensor", places.SIX)
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("noise", ["none", "realistic"])
+def test_flipped_axes_from_gyr_and_acc_alone(sensor: str, axis: int, noise: str) -> None:
+    """22 s with walking, squats and raised limbs; nobody stands still between them on purpose."""
+    six = make(builtin(60.0, 22.6), noise, 0, places.SIX)
+    raw = replace(six.select((sensor,)), R_world_sensor=None)
+    assert not [f for f in diagnose(raw) if f.code.endswith("axes")]
+    findings = diagnose(edited(raw, sensor, acc=flip(axis)))
+    if (noise, sensor, axis) in UNSEEN:
+        return
+    assert {(f.sensor, f.code[4:]) for f in findings} == {(sensor, "axes")}
+    assert "reversed" in findings[0].sentence
+
+
+@pytest.mark.parametrize("rate", [30.0, 100.0])
+def test_flipped_axes_at_other_rates(rate: float) -> None:
+    raw = make(builtin(rate, 22.6), "realistic", 0, ("left_shank",))
+    raw = replace(raw, R_world_sensor=None)
+    assert not [f for f in diagnose(raw) if f.code.endswith("axes")]
+    findings = diagnose(edited(raw, "left_shank", acc=flip(1)))
+    assert "axis y of acc is reversed" in findings[0].sentence
+
+
+@pytest.mark.parametrize("kinds", [("shank",), ("forearm",), ("shank", "forearm")])
+@pytest.mark.parametrize("noise", ["none", "realistic"])
+def test_exchanged_pair_that_is_alone_on_its_limbs(kinds: tuple[str, ...], noise: str) -> None:
+    """Six sensors, one pair on each pair of limbs: pelvis and habits tell the sides."""
+    raw = make(builtin(60.0, 22.6), noise, 0, places.SIX)
+    assert "swapped" not in {f.code for f in calibrate(raw)[1].diagnostics}
+    pairs = {
+        f"{a}_{k}": f"{b}_{k}" for k in kinds for a, b in (("left", "right"), ("right", "left"))
+    }
+    _, cal = calibrate(raw.renamed(pairs))
+    assert {f.sensor for f in cal.diagnostics if f.code == "swapped"} == set(pairs)
+
+
+def test_exchanged_pair_of_a_real_person(shared: Path) -> None:
+    six = real(shared).select(places.SIX)
+    for raw in (six, replace(six, R_world_sensor=None, mag=None)):
+        assert "swapped" not in {f.code for f in calibrate(raw)[1].diagnostics}
+        for kind in ("shank", "forearm"):
+            pair = {f"left_{kind}": f"right_{kind}", f"right_{kind}": f"left_{kind}"}
+            _, cal = calibrate(raw.renamed(pair))
+            assert {f.sensor for f in cal.diagnostics if f.code == "swapped"} == set(pair)
+
+
 def test_exchanged_axes(clean: RawRecording) -> None:
     raw = clean.select(("pelvis", "left_forearm"))
     raw = edited(raw, "left_forearm", gyr=lambda x: x[:, [1, 0, 2]])
