@@ -21,6 +21,7 @@ from common import machine, row
 
 import sip
 from mocap import Recording, Skeleton, sensors, synthesis
+from mocap.solution import Solution
 from poser import motions
 
 RATE_HZ = 60.0
@@ -31,11 +32,17 @@ def recorded(frames: int, names: tuple[str, ...] = sensors.SIX) -> Recording:
     return synthesis.recording(motion, names, synthesis.Noise(), 0)
 
 
-def timed(recording: Recording, settings: sip.Settings) -> tuple[float, int, float]:
-    """Seconds, iterations and cost of one solve."""
+def timed(recording: Recording, settings: sip.Settings) -> tuple[float, Solution]:
+    """Seconds of the whole call, and what it returned."""
     began = time.perf_counter()
     solution = sip.solve(recording, settings=settings)
-    return time.perf_counter() - began, solution.iterations, solution.total_cost
+    return time.perf_counter() - began, solution
+
+
+def median_s(recording: Recording, solver: str, runs: int) -> float:
+    """Median of several solves."""
+    settings = sip.Settings(solver=solver)  # type: ignore[arg-type]
+    return statistics.median(timed(recording, settings)[0] for _ in range(runs))
 
 
 def ways(runs: int) -> None:
@@ -47,33 +54,44 @@ def ways(runs: int) -> None:
         "ipopt (default)": sip.Settings(),
         "ipopt-cold from SOP": sip.Settings(solver="ipopt-cold", start=sop),
     }
-    seen: dict[str, list[tuple[float, int, float]]] = {name: [] for name in variants}
+    seen: dict[str, list[tuple[float, Solution]]] = {name: [] for name in variants}
     for _ in range(runs):
         for name, settings in variants.items():
             seen[name].append(timed(recording, settings))
-    widths = (22, 10, 10, 10, 12, 12)
-    print(row(("1,000 frames, SIP", "median s", "min s", "max s", "iterations", "cost"), widths))
+    widths = (22, 10, 10, 10, 12, 12, 16)
+    head = (
+        "1,000 frames, SIP",
+        "median s",
+        "min s",
+        "max s",
+        "iterations",
+        "cost",
+        "gradient, sigmas",
+    )
+    print(row(head, widths))
     for name, results in seen.items():
         s = [r[0] for r in results]
         figures = (f"{statistics.median(s):.1f}", f"{min(s):.1f}", f"{max(s):.1f}")
-        print(row((name, *figures, results[0][1], f"{results[0][2]:.2f}"), widths))
+        last = results[0][1]
+        end = (last.iterations, f"{last.total_cost:.4f}", f"{last.gradient_norm:.1e}")
+        print(row((name, *figures, *end), widths))
 
 
-def lengths(solver: str) -> None:
-    """Seconds per 1,000 frames from 4 s to 10 minutes."""
+def lengths(solver: str, runs: int) -> None:
+    """Seconds per 1,000 frames from 4 s to 10 minutes, medians; 10 minutes once."""
     print(row(("frames", "s", "s per 1,000"), (8, 10, 12)))
     for frames in (250, 1000, 4000, 12000, 36000):
-        s, _, _ = timed(recorded(frames), sip.Settings(solver=solver))  # type: ignore[arg-type]
+        s = median_s(recorded(frames), solver, runs if frames <= 4000 else 1)
         print(row((frames, f"{s:.1f}", f"{1000 * s / frames:.2f}"), (8, 10, 12)), flush=True)
 
 
-def counts(solver: str) -> None:
-    """Seconds per 1,000 frames against the number of sensors."""
+def counts(solver: str, runs: int) -> None:
+    """Seconds per 1,000 frames against the number of sensors, medians."""
     print(row(("sensors", "s", "unknowns a frame"), (8, 10, 18)))
     full = sensors.SUIT
     for names in (("head",), sensors.FIVE[:3], sensors.FIVE, sensors.SIX, full[:10], full):
         recording = recorded(1000, names)
-        s, _, _ = timed(recording, sip.Settings(solver=solver))  # type: ignore[arg-type]
+        s = median_s(recording, solver, runs)
         body = Skeleton.default()
         joints = {j for i in recording.joint for j in body.ancestors(int(i))}
         print(row((len(names), f"{s:.1f}", 3 + 3 * len(joints)), (8, 10, 18)), flush=True)
@@ -105,9 +123,9 @@ def main() -> None:
     args = parser.parse_args()
     print(machine())
     if args.length:
-        lengths(args.solver)
+        lengths(args.solver, args.runs)
     if args.sensors:
-        counts(args.solver)
+        counts(args.solver, args.runs)
     if args.memory:
         memory(args.minutes, args.solver)
     if not (args.length or args.sensors or args.memory):

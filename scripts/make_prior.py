@@ -14,6 +14,7 @@ import numpy as np
 
 from mocap import dataset
 from mocap import orientation as ori
+from mocap.skeleton import JOINTS
 
 RATE_HZ = 60.0
 STEP = 6  # frames between poses
@@ -21,6 +22,15 @@ BANK = 2000
 STILL_RAD = np.deg2rad(0.5)  # an angle that varies less than this never moves
 FLOOR = 0.1  # smallest relative roughness
 MARGIN_RAD = np.deg2rad(10.0)
+# What the rigs of the training data cannot show, because these joints do not move there: toes bent up 70 and
+# down 40 degrees (clinical range of the first metatarsophalangeal joint, AAOS 1965), shoulders lifted by 30
+# with raised arms (elevation of the clavicle, Inman 1944). deg: (joint, axis): (lower, upper).
+ANATOMY = {
+    ("left_foot", 0): (-70.0, 40.0),
+    ("right_foot", 0): (-70.0, 40.0),
+    ("left_collar", 2): (0.0, 30.0),
+    ("right_collar", 2): (-30.0, 0.0),
+}
 
 
 def angles(motion: dataset.Motion) -> np.ndarray:
@@ -61,7 +71,11 @@ def main() -> None:
     covariance[:, still] = 0
     covariance[still, still] = mean[still] ** 2
     lower, upper = (np.quantile(x, q, axis=0) for q in (0.0005, 0.9995))
-    lower[still], upper[still] = np.minimum(lower, 0)[still], np.maximum(upper, 0)[still]
+    # SMPL's rest pose is within everybody's limits; a rig's hands may never come near it.
+    lower, upper = np.minimum(lower, 0), np.maximum(upper, 0)
+    for (joint, axis), (low, high) in ANATOMY.items():
+        k = 3 * (JOINTS.index(joint) - 1) + axis
+        lower[k], upper[k] = min(lower[k], np.deg2rad(low)), max(upper[k], np.deg2rad(high))
     roughness = np.sqrt(np.median(rough, axis=0))
     scale = roughness[~still].mean()
     # What never moves here may move a little on others.

@@ -10,6 +10,7 @@ from mocap import orientation as ori
 from mocap.errors import PoserError
 from mocap.motion import Motion
 from poser import motions
+from sip.prior import shipped
 
 PIECES = [motions.stand, motions.walk, motions.squat, motions.arm_raises, motions.jumping_jack]
 PIECES += [motions.leg_raise]
@@ -57,6 +58,14 @@ def test_knees_bend_backward_only_as_knees_do(builtin: Motion) -> None:
         w = ori.log(builtin.R_parent_joint[:, knee])
         assert np.abs(w[:, 1:]).max() < 1e-9
         assert np.rad2deg(w[:, 0].min()) > -1.0
+
+
+def test_joints_stay_within_the_limits_of_the_prior(builtin: Motion) -> None:
+    """Those that the optimizer enforces, for all 69 angles in all frames; they hold the rest pose as well."""
+    prior = shipped()
+    angles = ori.log(builtin.R_parent_joint[:, 1:]).reshape(len(builtin), 69)
+    assert (angles >= prior.lower).all() and (angles <= prior.upper).all()
+    assert (prior.lower <= 0).all() and (prior.upper >= 0).all()
 
 
 def test_left_and_right_are_not_exchanged(builtin: Motion) -> None:
