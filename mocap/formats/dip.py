@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from mocap.errors import FormatError
-from mocap.formats import Document, Format, Options, _checks, _npz, _physics, _pickled
+from mocap.formats import Document, Format, Options, _checks, _holes, _npz, _physics, _pickled
 from mocap.motion import Motion
 from mocap.recording import Recording
 from mocap.sensors import SIX
@@ -49,13 +49,18 @@ def _read_pickle(path: Path, options: Options) -> Document:
             raise FormatError(path, f"is {value.shape}, expected {shape}", f"field {name}")
     rate = options.rate_hz or RATE
     R = _checks.rotations(path, R, SENSORS, "imu_ori")
-    motion, doubts = _pickled.reference(path, rate, pose, _pickled.body(options))
-    rec = Recording(rate, SENSORS, R, acc, reference=motion)
+    whole = _holes.poses(pose, rate)
+    motion, doubts = _pickled.reference(path, rate, whole.values, _pickled.body(options))
+    start_s = whole.kept.start / rate
+    rec = Recording(
+        rate, SENSORS, R[whole.kept], acc[whole.kept], reference=motion, start_s=start_s
+    )
     assumed = (
         f"rate {rate:g} Hz, as the data set states",
         "no translation in the file: the pelvis of the reference stays in place",
     )
-    return Document("dip", rec, assumed, (*doubts, *_physics.calibrated(path, rec)))
+    doubts = [*whole.notes, *doubts, *_physics.calibrated(path, rec)]
+    return Document("dip", rec, assumed, tuple(doubts))
 
 
 def read_release(path: str | Path, options: Options | None = None) -> list[Recording]:
@@ -115,12 +120,25 @@ def _sequence(path: Path, index: int, parts: tuple[Any, ...], options: Options) 
     joints = tuple(f"joint {j}" for j in JOINTS_15)
     local = _checks.rotations(path, R15.reshape(T, 15, 3, 3), joints, f"{where}: smpl_pose")
     rate, body = options.rate_hz or RATE, _pickled.body(options)
-    reference = None
+    whole = _holes.rotations(local, rate)
+    local, kept = whole.values, whole.kept
+    reference, notes = None, whole.notes
     if np.isfinite(local).all():
-        R24 = np.tile(np.eye(3), (T, 24, 1, 1))
+        R24 = np.tile(np.eye(3), (len(local), 24, 1, 1))
         R24[:, JOINTS_15] = local
-        reference = Motion(rate, R24, np.tile(body.offsets[0], (T, 1)), body)
-    return Recording(rate, SIX, R, acc, reference=reference, notes=("in the pelvis frame",))
+        reference = Motion(rate, R24, np.tile(body.offsets[0], (len(local), 1)), body)
+    else:
+        bad = int((~np.isfinite(local).all((1, 2, 3))).sum())
+        notes = (f"{bad} of {T} poses are not finite: no reference",)
+    return Recording(
+        rate,
+        SIX,
+        R[kept],
+        acc[kept],
+        reference=reference,
+        start_s=kept.start / rate,
+        notes=("in the pelvis frame", *notes),
+    )
 
 
 def _read_release(path: Path, options: Options) -> Document:
@@ -134,7 +152,11 @@ def _read_release(path: Path, options: Options) -> Document:
         "all is relative to the pelvis sensor, which therefore reads the identity: the vertical is lost",
     )
     # No test of mean acceleration: in the pelvis' turning frame it is not zero.
-    doubts += [*_checks.gap_report(rec.valid, rec.sensors), *_physics.against_reference(path, rec)]
+    doubts += [
+        *rec.notes[1:],
+        *_checks.gap_report(rec.valid, rec.sensors),
+        *_physics.against_reference(path, rec),
+    ]
     return Document("dip", rec, assumed, tuple(doubts))
 
 

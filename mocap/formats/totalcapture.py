@@ -23,7 +23,7 @@ import numpy as np
 
 from mocap import orientation as ori
 from mocap.errors import FormatError
-from mocap.formats import Document, Format, Options, _checks, _physics, _pickled, _text
+from mocap.formats import Document, Format, Options, _checks, _holes, _physics, _pickled, _text
 from mocap.orientation import Array
 from mocap.recording import RawRecording, Recording
 from mocap.sensors import SIX
@@ -80,7 +80,7 @@ def _integers(path: Path, line: str, count: int, number: int) -> list[int]:
 
 def _parse(path: Path) -> _Sensors:
     lines = _text.lines(path)
-    number, line = next(lines, (0, ""))
+    number, line = next(lines, (1, ""))
     S, T = _integers(path, line, 2, number)
     if not 1 <= S <= 64 or T < 1:
         raise FormatError(path, f"declares {S} sensors and {T} frames", "line 1")
@@ -258,13 +258,15 @@ def _read_pickle(path: Path, options: Options) -> Document:
     doubts = [f"lengths differ by {longest - T}: cut to {T} frames"] if longest > T else []
     rate = options.rate_hz or RATE
     R = _checks.rotations(path, R[:T], LEGS_FIRST, "ori")
-    reference, said = _pickled.reference(path, rate, pose[:T], _pickled.body(options))
-    rec = Recording(rate, LEGS_FIRST, R, acc[:T], reference=reference).select(SIX)
+    whole = _holes.poses(pose[:T], rate)
+    reference, said = _pickled.reference(path, rate, whole.values, _pickled.body(options))
+    R, acc, start_s = R[whole.kept], acc[:T][whole.kept], whole.kept.start / rate
+    rec = Recording(rate, LEGS_FIRST, R, acc, reference=reference, start_s=start_s).select(SIX)
     assumed = (
         f"rate {rate:g} Hz; sensors legs first, as three of four public readers have it",
         "orientations are aligned to the pose of frame 0; the pelvis of the reference stays in place",
     )
-    doubts += [*said, *_physics.calibrated(path, rec)]
+    doubts += [*whole.notes, *said, *_physics.calibrated(path, rec)]
     return Document("totalcapture", rec, assumed, tuple(doubts))
 
 
