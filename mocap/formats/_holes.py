@@ -34,22 +34,23 @@ class Mended:
 
 def rotations(R: Array, rate_hz: float) -> Mended:
     """R (T,K,3,3), NaN where missing, mended."""
-    has = np.isfinite(R).all((-1, -2))
-    kept = _kept(has.all(1), rate_hz)
-    if has.all() or kept is None:
+    has = np.asarray(np.isfinite(R).all(axis=(-1, -2)), bool)
+    whole = np.asarray(has.all(axis=1), bool)
+    kept = _kept(whole, rate_hz)
+    if whole.all() or kept is None:
         return Mended(R, slice(0, len(R)))
     out, known = R[kept].copy(), has[kept]
     times = np.arange(len(out))
-    for j in np.flatnonzero(~known.all(0)):
+    for j in np.flatnonzero(~known.all(axis=0)):
         ok = known[:, j]
         out[~ok, j] = ori.interpolate(times[ok], out[ok, j], times[~ok])
-    return Mended(out, kept, _notes(has.all(1), kept))
+    return Mended(out, kept, _notes(whole, kept))
 
 
 def poses(values: Array, rate_hz: float) -> Mended:
     """SMPL axis-angle (T,72) rad, NaN where missing, mended; what is there stays to the last digit."""
     w = values.reshape(len(values), -1, 3)
-    has = np.isfinite(w).all(-1)
+    has = np.asarray(np.isfinite(w).all(axis=-1), bool)
     R = np.full((*has.shape, 3, 3), np.nan)
     R[has] = ori.exp(w[has])
     found = rotations(R, rate_hz)
