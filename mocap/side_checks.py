@@ -10,7 +10,7 @@ and every single pose of it is a possible one. What tells the sides then is the 
 
 Each cue changes its sign with the exchange. Weights are those of a logistic regression without offset on
 49 clips of CMU and 12 of Bandai's training motion, sensors with the realistic noise, 8 to 25 s each. There
-no right pair had a score below -0.52 (shanks) or +0.8 (forearms); a real recording of 100 s, cut into pieces
+no right pair had a score below -0.52 (shanks) or +0.68 (forearms); a real recording of 100 s, cut into pieces
 of 20 s, none below +0.6. Thus what is not named may still be exchanged: the check is a warning.
 """
 
