@@ -27,14 +27,16 @@ class Motion:
     """T poses at `rate_hz`.
 
     R_parent_joint: (T,24,3,3), entry 0 is the root's R_world_root. p_world_root: (T,3) m, the pelvis
-    joint. skeleton: the body. Checked once here, then trusted: shapes, finite, orthonormal to 1e-3
-    (and then projected onto SO(3), so that rounding in a file does not grow along the chain).
+    joint. skeleton: the body. start_s: time of the first frame on the recording's clock in s (0 also where
+    nobody says). Checked once here, then trusted: shapes, finite, orthonormal to 1e-3 (and then projected
+    onto SO(3), so that rounding in a file does not grow along the chain).
     """
 
     rate_hz: float
     R_parent_joint: Array
     p_world_root: Array
     skeleton: Skeleton
+    start_s: float = 0.0
 
     def __post_init__(self) -> None:
         R, p = np.array(self.R_parent_joint, float), np.array(self.p_world_root, float)
@@ -54,7 +56,10 @@ class Motion:
             raise ShapeError(f"Motion: frame {t}: p_world_root is not finite")
         if np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max() > 1e-9:
             R = ori.project(R)
+        if not np.isfinite(self.start_s):
+            raise ShapeError(f"Motion: start_s must be a finite number of s, got {self.start_s!r}")
         object.__setattr__(self, "rate_hz", check_rate(self.rate_hz, "Motion"))
+        object.__setattr__(self, "start_s", float(self.start_s))
         for name, value in (("R_parent_joint", R), ("p_world_root", p)):
             value.setflags(write=False)
             object.__setattr__(self, name, value)
@@ -109,11 +114,13 @@ class Motion:
         return cls(rate_hz, R, trans + skeleton.offsets[0], skeleton)
 
     def slice(self, start: int, stop: int) -> Motion:
-        """Frames start to stop-1."""
+        """Frames start to stop-1, at the time they have here."""
+        first, _, _ = slice(start, stop).indices(len(self))
         return replace(
             self,
             R_parent_joint=self.R_parent_joint[start:stop],
             p_world_root=self.p_world_root[start:stop],
+            start_s=self.start_s + first / self.rate_hz,
         )
 
     def on(self, skeleton: Skeleton) -> Motion:
@@ -123,7 +130,7 @@ class Motion:
     def resampled(self, rate_hz: float) -> Motion:
         """At another rate, on the manifold: geodesic for rotations, linear for the root's position.
 
-        Frame k of the result is time k / rate_hz; the last one lies at or before the last frame.
+        Frame k of the result is time start_s + k / rate_hz; the last one lies at or before the last frame.
         """
         rate = check_rate(rate_hz, "Motion.resampled")
         if rate == self.rate_hz:
@@ -131,7 +138,8 @@ class Motion:
         t = np.arange(len(self)) / self.rate_hz
         at = np.arange(int(np.floor(t[-1] * rate + 1e-9)) + 1) / rate
         p = np.stack([np.interp(at, t, self.p_world_root[:, i]) for i in range(3)], axis=1)
-        return Motion(rate, ori.interpolate(t, self.R_parent_joint, at), p, self.skeleton)
+        R = ori.interpolate(t, self.R_parent_joint, at)
+        return replace(self, rate_hz=rate, R_parent_joint=R, p_world_root=p)
 
     def lowpassed(self, cutoff_hz: float) -> Motion:
         """Zero-phase Butterworth low-pass (4th order in effect: 2nd order run both ways).

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -159,7 +159,7 @@ def _reference(job: Job, tell: Progress) -> tuple[Motion, str]:
             "the recording holds no reference motion; give --reference MOTION, or sip-all for SIP on "
             "all its sensors"
         )
-    return job.recording.reference, "the recording's own"
+    return replace(job.recording.reference, start_s=job.recording.start_s), "the recording's own"
 
 
 # -- methods --------------------------------------------------------------------------------------
@@ -187,7 +187,8 @@ def _solve(job: Job, recording: Recording, terms: Any, tell: Progress) -> Any:
     import sip
 
     settings: Settings = sip.Settings(terms=terms, solver=job.solver, **job.settings)  # type: ignore[arg-type]
-    return sip.solve(recording, job.skeleton, settings, tell)
+    found = sip.solve(recording, job.skeleton, settings, tell)
+    return replace(found, motion=replace(found.motion, start_s=recording.start_s))
 
 
 def _result(
@@ -209,7 +210,8 @@ def _no_skill(recording: Recording, seen: tuple[str, ...], reference: Motion) ->
     out = {}
     for name, motion in noskill.both(chosen, prior.mean, prior.poses).items():
         found = metrics.evaluate(motion, reference, recording=recording, seen=seen)
-        out[name] = Result(motion, found, {"used_sensors": list(seen)})
+        timed = replace(motion, start_s=recording.start_s)
+        out[name] = Result(timed, found, {"used_sensors": list(seen)})
     return out
 
 

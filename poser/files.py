@@ -142,8 +142,17 @@ def make_folder(path: Path) -> None:
         raise PoserError(f"{path}: the folder cannot be written to")
 
 
-def write(path: Path, content: Content, extra: Mapping[str, np.ndarray] | None = None) -> None:
-    """A motion as AMASS `.npz` or `.bvh`, a recording as native `.npz`: whole or not at all."""
+def write(
+    path: Path,
+    content: Content,
+    extra: Mapping[str, np.ndarray] | None = None,
+    timed: bool = False,
+) -> None:
+    """A motion as AMASS-style `.npz` or `.bvh`, a recording as native `.npz`: whole or not at all.
+
+    timed: a motion's `start_s` is known to be the recording's and is stated even where it is 0.
+    """
+    from mocap.formats import native
     from mocap.motion import Motion
 
     if isinstance(content, Motion):
@@ -151,15 +160,15 @@ def write(path: Path, content: Content, extra: Mapping[str, np.ndarray] | None =
             from mocap.formats.bvh import write_motion as write_bvh
 
             write_bvh(path, content)
+        elif timed or content.start_s:
+            native.write_motion(path, content, extra)
         else:
             from mocap.formats.amass import write_motion as write_amass
 
             write_amass(path, content, extra)
         return
-    from mocap.formats.native import FORMAT
-
-    assert FORMAT.write is not None
-    FORMAT.write(path, content)
+    assert native.FORMAT.write is not None
+    native.FORMAT.write(path, content)
 
 
 def write_text(path: Path, text: str) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -67,4 +67,5 @@ def track(
         joint=recording.joint, seat=recording.placement,
     )  # fmt: skip
     run = replay(estimator, recording, lambda share: progress(share, method), skeleton)
+    run = replace(run, motion=replace(run.motion, start_s=recording.start_s))
     return Tracked(run, method, network, estimator.look_ahead_frames, estimator.sensors)

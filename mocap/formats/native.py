@@ -1,19 +1,24 @@
-"""The project's own recordings, "poser-recording/1" and "poser-raw/1": numpy archives, no pickles.
+"""The project's own files: numpy archives, no pickles.
 
-World: y up, right-handed. A reference's `trans` is SMPL's: p_world_root = J0 + trans, J0 the rest
-pelvis of the reference's body.
+Recordings, "poser-recording/1" and "poser-raw/1": world y up, right-handed. A reference's `trans` is SMPL's:
+p_world_root = J0 + trans, J0 the rest pelvis of the reference's body.
+
+Motions: AMASS files (`mocap.formats.amass`) with one more field, `start_s`: the time of the first frame on
+the recording's clock, s. Where it is missing nobody has said, and it is read as 0.
 """
 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from mocap.errors import FormatError, PoserError
-from mocap.formats import Content, Document, Format, Options, _checks, _npz, _physics
+from mocap.formats import Content, Document, Format, Options, _checks, _npz, _physics, amass
 from mocap.formats._files import write_aside
 from mocap.motion import Motion
 from mocap.orientation import GRAVITY
@@ -47,6 +52,7 @@ def read_recording(path: str | Path, options: Options | None = None) -> Recordin
     T = len(R)
     acc = fields.floats("acc_world", (T, S, 3))
     rate = fields.number("rate_hz")
+    start = fields.number("start_s") if "start_s" in fields else 0.0
     return _made(
         path,
         Recording,
@@ -57,10 +63,10 @@ def read_recording(path: str | Path, options: Options | None = None) -> Recordin
         valid=fields.bools("valid", (T, S)) if "valid" in fields else None,
         joint=fields.integers("joint", (S,)) if "joint" in fields else None,
         placement=fields.floats("placement", (S, 3)) if "placement" in fields else None,
-        reference=_reference(fields, rate, T, options),
+        reference=_reference(fields, rate, T, start, options),
         calibration=fields.mapping("calibration"),
         noise=fields.mapping("noise"),
-        start_s=fields.number("start_s") if "start_s" in fields else 0.0,
+        start_s=start,
         notes=fields.texts("notes") if "notes" in fields else (),
     )
 
@@ -83,6 +89,7 @@ def read_raw(path: str | Path, options: Options | None = None) -> RawRecording:
     T = len(acc)
     rate = fields.number("rate_hz")
     has_R = "R_world_sensor" in fields
+    start = fields.number("start_s") if "start_s" in fields else 0.0
     return _made(
         path,
         RawRecording,
@@ -93,9 +100,9 @@ def read_raw(path: str | Path, options: Options | None = None) -> RawRecording:
         mag=fields.floats("mag", (T, S, 3)) if "mag" in fields else None,
         R_world_sensor=fields.floats("R_world_sensor", (T, S, 3, 3)) if has_R else None,
         valid=fields.bools("valid", (T, S)) if "valid" in fields else None,
-        reference=_reference(fields, rate, T, options),
+        reference=_reference(fields, rate, T, start, options),
         truth=fields.mapping("truth"),
-        start_s=fields.number("start_s") if "start_s" in fields else 0.0,
+        start_s=start,
         facing_rad=fields.number("facing_rad") if "facing_rad" in fields else None,
         common_heading=bool(fields.number("common_heading"))
         if "common_heading" in fields
@@ -154,6 +161,18 @@ def write_raw(path: str | Path, raw: RawRecording) -> None:
     _write(Path(path), arrays, raw.reference)
 
 
+def write_motion(
+    path: str | Path, motion: Motion, extra: Mapping[str, np.ndarray] | None = None
+) -> None:
+    """Write a motion as `mocap.formats.amass.write_motion` does, with its `start_s`."""
+    amass.write_motion(path, motion, {**(extra or {}), "start_s": np.array(motion.start_s)})
+
+
+def states_start(path: str | Path) -> bool:
+    """Whether a native file says when its first frame was, and need not be taken to begin at 0."""
+    return "start_s" in _npz.names(Path(path))
+
+
 def _fields(path: Path, schema: str) -> _npz.Fields:
     """The arrays of a file of this schema, which is looked at before anything large is read."""
     found = _npz.Fields(path, _npz.load(path, ("schema",))).text("schema")
@@ -172,7 +191,7 @@ def _made(path: Path, kind: Any, **values: Any) -> Any:
 
 
 def _reference(
-    fields: _npz.Fields, rate_hz: float, T: int, options: Options | None
+    fields: _npz.Fields, rate_hz: float, T: int, start_s: float, options: Options | None
 ) -> Motion | None:
     """The reference motion, where the file has one.
 
@@ -196,7 +215,7 @@ def _reference(
             table = Skeleton.default(options.height if options is not None else None)
             own = fields.floats("offsets", (24, 3)) if "offsets" in fields else table.offsets
             body = Skeleton(table.names, table.parents, own, betas)
-        return Motion.from_smpl(rate_hz, poses, trans, body)
+        return replace(Motion.from_smpl(rate_hz, poses, trans, body), start_s=start_s)
     except FormatError:
         raise
     except PoserError as e:
@@ -230,10 +249,17 @@ def _sniff(path: Path, head: bytes) -> bool:
     if not head.startswith(b"PK"):
         return False
     # A file cut short has lost its directory; the first member still names itself.
-    return "schema" in _npz.names(path) or b"schema.npy" in head
+    return "schema" in _npz.names(path) or b"schema.npy" in head or _is_motion(path)
+
+
+def _is_motion(path: Path) -> bool:
+    names = _npz.names(path)
+    return "schema" not in names and {"poses", "mocap_framerate", "start_s"} <= names
 
 
 def _read(path: Path, options: Options) -> Document:
+    if _is_motion(path):
+        return _read_motion(path, options)
     schema = _npz.Fields(path, _npz.load(path, ("schema",))).text("schema")
     if schema == RAW:
         raw = read_raw(path, options)
@@ -246,13 +272,20 @@ def _read(path: Path, options: Options) -> Document:
     )
 
 
+def _read_motion(path: Path, options: Options) -> Document:
+    doc = amass.read(path, options)
+    assert isinstance(doc.content, Motion)
+    start = _npz.Fields(path, _npz.load(path, ("start_s",))).number("start_s")
+    return replace(doc, content=replace(doc.content, start_s=start))
+
+
 def _write_any(path: Path, content: Content) -> None:
     if isinstance(content, Recording):
         write_recording(path, content)
     elif isinstance(content, RawRecording):
         write_raw(path, content)
     else:
-        raise FormatError(path, "a motion is written as an AMASS file, not as a recording")
+        write_motion(path, content)
 
 
 FORMAT = Format("native", (".npz",), _sniff, _checks.quiet(_read), _write_any)

@@ -92,8 +92,8 @@ def run(args: Namespace) -> int:
         folder = where[compared.name]
         files.make_folder(folder)
         for name, result in compared.methods.items():
-            files.write(folder / f"{name}.npz", result.motion)
-        files.write(folder / "reference.npz", compared.truth)
+            files.write(folder / f"{name}.npz", result.motion, timed=True)
+        files.write(folder / "reference.npz", compared.truth, timed=True)
 
     with progress("comparing") as tell:
         found = batch.run_many(jobs, args.jobs, part(tell, 0.0, 0.95), args.cluster, keep)
@@ -130,6 +130,7 @@ def _check_inputs(args: Namespace, outputs: list[Path]) -> None:
 def _jobs(args: Namespace) -> list[Job]:
     from mocap.skeleton import Skeleton
     from poser import comparison
+    from poser.commands.solve import cut_window
 
     reference: Any = args.reference
     if reference is not None and reference != "sip-all":
@@ -138,20 +139,17 @@ def _jobs(args: Namespace) -> list[Job]:
                 "argument --reference: one motion file cannot serve several recordings"
             )
         reference = files.motion(Path(reference))
-    jobs = []
+    jobs: list[Job] = []
     names = _names(args.recordings)
     for path, name in zip(args.recordings, names, strict=True):
         recording = files.recording(path)
         with files.about(path):
             sensors = options.sensors(args.sensors, recording.sensors) if args.sensors else None
             devices = options.sensors(args.devices, recording.sensors) if args.devices else None
-            window, truth = recording, reference
-            if args.begin is not None or args.end is not None:
-                from poser.commands.solve import cut_window
-
-                window, first = cut_window(recording, args.begin, args.end)
-                if not isinstance(truth, str | None):
-                    truth = _cut(truth, recording.rate_hz, len(recording), first, len(window))
+            window, first = cut_window(recording, args.begin, args.end)
+        truth = reference
+        if not isinstance(truth, str | None):
+            truth = _part(Path(args.reference), truth, recording, window, first)
         if truth is None and recording.reference is None:
             raise PoserError(
                 f"{path}: holds no reference motion; give --reference MOTION, or sip-all for SIP on all "
@@ -172,11 +170,20 @@ def _jobs(args: Namespace) -> list[Job]:
     return jobs
 
 
-def _cut(reference: Motion, rate_hz: float, frames: int, first: int, count: int) -> Motion:
-    """The window of a reference of the whole recording; one of the window's own length is left."""
-    reference = reference.resampled(rate_hz)
-    if abs(len(reference) - frames) <= 1:
-        return reference.slice(first, first + count)
+def _part(path: Path, reference: Motion, whole: Recording, window: Recording, first: int) -> Motion:
+    """The window of a reference, whose first frame is `first`: by its time where the file states one, else
+    of a reference of the whole recording; one of the window's own length is left."""
+    from mocap.formats import native
+    from poser import clock
+
+    if native.states_start(path):
+        with files.about(path):
+            return clock.during(reference, window)
+    if len(window) == len(whole):
+        return reference
+    reference = reference.resampled(whole.rate_hz)
+    if abs(len(reference) - len(whole)) <= 1:
+        return reference.slice(first, first + len(window))
     return reference
 
 

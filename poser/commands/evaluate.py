@@ -1,6 +1,8 @@
 """How far a motion is from a reference, under the field's names.
 
-REFERENCE is a motion, or a recording that holds a reference motion. Beside the motion stand two answers that
+REFERENCE is a motion, or a recording that holds a reference motion. What states its time on the recording's
+clock (recordings, and the motions that poser wrote of them) is compared where all of it covers the same time.
+Beside the motion stand two answers that
 need no skill: the mean pose of the training motion, and for each frame the training pose that is nearest by
 the sensors' relative orientations (where no recording is given, of
 six clean virtual sensors on the reference).
@@ -9,13 +11,14 @@ six clean virtual sensors on the reference).
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mocap.errors import FormatError
-from poser import files, options
-from poser.console import DONE, emit, table
+from poser import clock, files, options
+from poser.console import DONE, emit, note, table
 
 if TYPE_CHECKING:
     from mocap.formats import Options
@@ -64,23 +67,26 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def run(args: Namespace) -> int:
-    found, others = _evaluate(args)
+    found, others, when = _evaluate(args)
     if args.json:
-        emit(found.to_json() | {"no_skill": {name: m.to_json() for name, m in others.items()}})
+        emit(
+            found.to_json()
+            | {"no_skill": {name: m.to_json() for name, m in others.items()}, "compared_s": when}
+        )
     else:
         names = (name.replace("-", " ") for name in others)
         table(("metric", "value", *names, "unit", "name"), rows(found, list(others.values())))
     return DONE
 
 
-def _evaluate(args: Namespace) -> tuple[Metrics, dict[str, Metrics]]:
-    """The motion's figures, and those of the two rows that need no skill."""
+def _evaluate(args: Namespace) -> tuple[Metrics, dict[str, Metrics], tuple[float, float] | None]:
+    """The motion's figures, those of the two rows that need no skill, and the time compared."""
     from mocap import metrics
-    from mocap.formats import Options
+    from mocap.formats import Options, native
     from mocap.skeleton import Skeleton
 
     motion = files.motion(args.motion)
-    reference, recording = _reference(args, Options(smpl=args.smpl))
+    reference, recording, timed = _reference(args, Options(smpl=args.smpl))
     if args.recording:
         recording = files.recording(args.recording)
     seen = None
@@ -88,8 +94,22 @@ def _evaluate(args: Namespace) -> tuple[Metrics, dict[str, Metrics]]:
         with files.about(args.recording or args.reference):
             available = None if recording is None else recording.sensors
             seen = options.sensors(args.sensors, available)
-    if reference is not None and recording is not None:
-        _same_time(args.recording or args.reference, recording, reference)
+    if reference is not None and recording is not None and not timed:
+        _same_time(args.recording, recording, reference)
+        # Frame for frame the recording's, so on its clock.
+        reference, timed = replace(reference, start_s=recording.start_s), True
+    stated: dict[Path, Motion | Recording] = {}
+    if native.states_start(args.motion):
+        stated[args.motion] = motion
+    if reference is not None and timed:
+        stated[args.reference] = reference
+    if recording is not None:
+        stated[args.recording or args.reference] = recording
+    when = _shared(stated)
+    if when is not None:
+        motion = clock.cut(motion, *when) if args.motion in stated else motion
+        reference = reference and clock.cut(reference, *when)
+        recording = recording and clock.cut(recording, *when)
     smpl = Skeleton.from_smpl_file(args.smpl) if args.smpl else None
     with files.about(args.motion):
         found = metrics.evaluate(motion, reference, recording=recording, seen=seen, smpl=smpl)
@@ -97,7 +117,19 @@ def _evaluate(args: Namespace) -> tuple[Metrics, dict[str, Metrics]]:
         name: metrics.evaluate(other, reference, recording=recording, seen=seen, smpl=smpl)
         for name, other in _no_skill(reference, recording, seen).items()
     }
-    return found, others
+    return found, others, when
+
+
+def _shared(stated: Mapping[Path, Motion | Recording]) -> tuple[float, float] | None:
+    """Begin and end, s, of what those cover together that state a time; None where fewer than two do. A note
+    says where one covers more than a frame more."""
+    if len(stated) < 2:
+        return None
+    begin, end = clock.shared(stated)
+    for path, x in stated.items():
+        if x.seconds > end - begin + (1 + 1e-6) / x.rate_hz:
+            note(f"{path}: of its {clock.words(x)}, {begin:.2f} to {end:.2f} s are compared")
+    return begin, end
 
 
 def _same_time(path: Path, recording: Recording, reference: Motion) -> None:
@@ -125,19 +157,22 @@ def _no_skill(
     return noskill.both(recording, prior.mean, prior.poses)
 
 
-def _reference(args: Namespace, reading: Options) -> tuple[Motion | None, Recording | None]:
-    """The reference motion and, where its file is a recording, that too."""
+def _reference(args: Namespace, reading: Options) -> tuple[Motion | None, Recording | None, bool]:
+    """The reference motion, where its file is a calibrated recording that too, and whether the file states
+    its time."""
+    from mocap.formats import native
     from mocap.motion import Motion
     from mocap.recording import Recording
 
     content = files.read(args.reference, reading).content
     if isinstance(content, Motion):
-        return content, None
+        return content, None, native.states_start(args.reference)
     recording = content if isinstance(content, Recording) else None
     if content.reference is None and (recording is None or not args.sensors):
         hint = "" if recording is None else "; with --sensors the others are measured against"
         raise FormatError(args.reference, f"holds no reference motion{hint}")
-    return content.reference, recording
+    reference = content.reference and replace(content.reference, start_s=content.start_s)
+    return reference, recording, True
 
 
 def rows(found: Metrics, others: Sequence[Metrics]) -> list[tuple[str, ...]]:

@@ -50,7 +50,7 @@ def describe(doc: Document) -> dict[str, Any]:
         facts["sensors"] = list(content.sensors)
         facts["has_reference"] = content.reference is not None
         facts["gaps"] = _gaps(content)
-        facts["start_s"] = content.start_s
+    facts["start_s"] = content.start_s
     return facts | {"assumptions": list(doc.assumptions), "warnings": list(doc.warnings)}
 
 
@@ -77,7 +77,7 @@ def _print(path: Path, facts: dict[str, Any]) -> None:
     say(f"{path}: {facts['kind']} ({facts['format']})")
     say(
         f"  {facts['frames']} frames at {facts['rate_hz']:g} Hz, {facts['seconds']:.2f} s"
-        + (f", from {facts['start_s']:g} s" if facts.get("start_s") else "")
+        + (f", from {facts['start_s']:g} s" if facts["start_s"] else "")
     )
     if facts["kind"] == "motion":
         say(f"  body of {facts['height_m']:.2f} m")

@@ -80,12 +80,12 @@ def run(args: Namespace) -> int:
     if args.start in NETWORKS:
         begin = _networks_start(args, recording)
     else:
-        begin = None if start is None else _start(start, whole, first, len(recording))
+        begin = None if start is None else _start(start, whole, recording, first)
     solution = _solve(args, recording, begin)
     extra = (
         None if solution.std_rad is None or not args.uncertainty else {"std_rad": solution.std_rad}
     )
-    files.write(args.output, solution.motion, extra)
+    files.write(args.output, solution.motion, extra, timed=True)
     if args.plot:
         from poser import pictures
 
@@ -109,7 +109,8 @@ def _solve(args: Namespace, recording: Recording, start: Motion | None) -> Solut
     )
     with progress(f"solving {args.recording.name}") as tell, files.about(args.recording):
         solution = sip.solve(recording, _body(args), settings, tell)
-    return replace(solution, motion=on_the_floor(solution.motion))
+    motion = replace(on_the_floor(solution.motion), start_s=recording.start_s)
+    return replace(solution, motion=motion)
 
 
 def _body(args: Namespace) -> Skeleton:
@@ -147,11 +148,17 @@ def _networks_start(args: Namespace, recording: Recording) -> Motion:
     return found.run.motion.on(_body(args))
 
 
-def _start(path: Path, whole: Recording, first: int, frames: int) -> Motion:
-    """The motion to start from, at the recording's rate: of the whole recording or of the window."""
-    motion = files.motion(path)
+def _start(path: Path, whole: Recording, window: Recording, first: int) -> Motion:
+    """The motion to start from, at the recording's rate: by its time where the file states one, else of
+    the whole recording or of the window, whose first frame is `first`."""
+    from mocap.formats import native
+    from poser import clock
+
+    motion, frames = files.motion(path), len(window)
     with files.about(path):
         motion = motion.resampled(whole.rate_hz)
+        if native.states_start(path):
+            motion = clock.during(motion, window)
     if len(motion) == len(whole):
         return motion.slice(first, first + frames)
     if len(motion) != frames:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import zlib
 from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -121,7 +122,8 @@ def _one(source: Path, sensors: tuple[str, ...], args: Namespace) -> Recording |
             raise PoserError(f"{len(motion)} frames at {args.out_rate:g} Hz, expected 3 or more")
         make = synthesis.raw_recording if args.raw else synthesis.recording
         noise = synthesis.NOISES[args.noise]
-        return make(motion, sensors, noise, noise_generator(args.seed, source.stem))
+        made = make(motion, sensors, noise, noise_generator(args.seed, source.stem))
+        return replace(made, start_s=motion.start_s)
 
 
 def _check_rates(source: Path, motion: Motion, rate: float, lowpass: float | None) -> None:

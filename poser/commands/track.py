@@ -78,7 +78,8 @@ def run(args: Namespace) -> int:
     std = tracked.run.std_rad if args.uncertainty else None
     if args.uncertainty and std is None:
         note(f"{args.output}: {args.method} states no uncertainty")
-    files.write(args.output, tracked.run.motion, None if std is None else {"std_rad": std})
+    extra = None if std is None else {"std_rad": std}
+    files.write(args.output, tracked.run.motion, extra, timed=True)
     _report(args, tracked)
     return DONE
 

@@ -297,7 +297,7 @@ def test_sets_and_names_of_sensors_may_be_mixed() -> None:
 
 def test_evaluate_names_and_nulls(folder: Path, answer: Answer) -> None:
     found = answer("evaluate", folder / "sip.npz", folder / "rec" / "walk.npz")
-    assert tuple(found) == ("frames", "rate_hz", *metrics.JSON_NAMES[2:], "no_skill")
+    assert tuple(found) == ("frames", "rate_hz", *metrics.JSON_NAMES[2:], "no_skill", "compared_s")
     assert tuple(found["no_skill"]) == ("mean-pose", "nearest-pose")
     for other in found["no_skill"].values():
         assert other["sip_deg"] > found["sip_deg"] and other["frames"] == found["frames"]

@@ -136,6 +136,7 @@ def test_a_window_is_that_of_the_recording_and_of_solve(
         assert said["frames"] == 15
     a, b = (files.motion(tmp_path / f"{n}-out.npz") for n in ("rec", "cut"))
     np.testing.assert_allclose(a.R_parent_joint, b.R_parent_joint, atol=1e-12)
+    assert a.start_s == b.start_s == pytest.approx(100.1)
     later = (*words, "--from", "100.5")
     code, said = refusal("track", tmp_path / "rec.npz", "-o", tmp_path / "o.npz", *later)
     assert code == 1 and "runs from 100 s to 100.5 s" in said

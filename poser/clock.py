@@ -1,0 +1,57 @@
+"""Motions and recordings on one clock: what they cover together, and the part of one that another covers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TypeVar
+
+from mocap.errors import PoserError
+from mocap.motion import Motion
+from mocap.recording import Recording
+
+Timed = TypeVar("Timed", Motion, Recording)
+
+
+def span(x: Motion | Recording) -> tuple[float, float]:
+    """Time of the first frame and of the end of the last one, s."""
+    return x.start_s, x.start_s + x.seconds
+
+
+def words(x: Motion | Recording) -> str:
+    """`46 to 56 s`."""
+    begin, end = span(x)
+    return f"{round(begin, 3):g} to {round(end, 3):g} s"
+
+
+def cut(x: Timed, begin: float, end: float) -> Timed:
+    """The frames from `begin` to before `end`, s, to the nearest frame."""
+    a, b = (round((t - x.start_s) * x.rate_hz) for t in (begin, end))
+    a, b = max(0, a), min(len(x), b)
+    return x if (a, b) == (0, len(x)) else x.slice(a, b)
+
+
+def shared(named: Mapping[Path, Motion | Recording]) -> tuple[float, float]:
+    """Begin and end, s, of what all of them cover. Raises PoserError where that is less than a frame."""
+    begin = max(span(x)[0] for x in named.values())
+    end = min(span(x)[1] for x in named.values())
+    if end - begin < (1 - 1e-6) / min(x.rate_hz for x in named.values()):
+        covers = ", ".join(f"{path} covers {words(x)}" for path, x in named.items())
+        raise PoserError(f"{covers}: they have no time in common")
+    return begin, end
+
+
+def during(motion: Motion, recording: Recording) -> Motion:
+    """The part of `motion` at the time of `recording`.
+
+    Raises PoserError where more than a frame of that time is missing.
+    """
+    begin, end = span(recording)
+    frame = (1 + 1e-6) / min(motion.rate_hz, recording.rate_hz)
+    first, last = span(motion)
+    if first > begin + frame or last < end - frame:
+        raise PoserError(
+            f"covers {words(motion)}, but {words(recording)} is wanted: --from and --to choose what "
+            f"it covers"
+        )
+    return cut(motion, begin, end)
