@@ -93,6 +93,84 @@ def _promise(
     return _Promise(share, float(turn))
 
 
+@dataclass
+class _Damping:
+    """lambda, by Nielsen's rule: it falls after a good step, and grows ever faster after bad ones."""
+
+    value: float = 1e-1
+    growth: float = 2.0
+
+    def good(self, gain: float) -> None:
+        """gain: actual over predicted decrease of the step that was taken."""
+        self.value = max(self.value * max(1 / 10, 1 - (2 * gain - 1) ** 3), 1e-9)
+        self.growth = 2.0
+
+    def bad(self) -> None:
+        self.value, self.growth = self.value * self.growth, self.growth * 2
+
+
+@dataclass(frozen=True, eq=False)
+class _Here:
+    """Where an iteration stands: cost, Gauss-Newton matrix and gradient at the point."""
+
+    problem: Problem
+    point: Point
+    cost: float
+    band: Band
+    grad: Array
+    grad_u: Array
+
+    def lower(
+        self, damping: _Damping, step: Array, box: Box | None, tolerance: float
+    ) -> tuple[Point, float] | None:
+        """A point of lower cost, and its cost; None where no step is worth taking.
+
+        step (n,): units of the damping, D = 1 / step^2. Steps that promise less than a hundredth of the
+        relative tolerance are not worth taking.
+        """
+        while damping.value < _LAMBDA_MAX:
+            try:
+                dx, du, factor, settled = self._damped(damping.value, step, box)
+            except NotPositiveDefinite:
+                damping.bad()
+                continue
+            Hx, Hu = self.band.dot(dx, du)
+            predicted = -(np.vdot(self.grad, dx) + self.grad_u @ du)
+            predicted -= 0.5 * (np.vdot(dx, Hx) + du @ Hu)
+            if settled and predicted <= tolerance * self.cost * 0.01:
+                return None
+            constants = du.reshape(-1, CONSTANTS) if len(du) else np.zeros_like(self.point.u)
+            if factor is not None:
+                ax, au = _bend(self.problem, self.point, dx, constants, factor)
+                if np.linalg.norm(ax / step) <= _BEND_LIMIT * np.linalg.norm(dx / step):
+                    dx, constants = dx + ax, constants + au
+            at = self.point
+            trial = self.problem.point(at.x + dx, at.R_ref, at.u + constants)
+            new = self.problem.cost(trial)
+            gain = (self.cost - new) / predicted if np.isfinite(new) and predicted > 0 else -1.0
+            if gain > 1e-4:
+                damping.good(float(gain))
+                return trial, new
+            damping.bad()
+        return None
+
+    def _damped(
+        self, value: float, step: Array, box: Box | None
+    ) -> tuple[Array, Array, Factor | None, bool]:
+        """dx (T,n), du (g,) of (H + lambda D) d = -g; the factor where there is no box; whether the box's
+        active set has settled.
+        """
+        D = value / step**2
+        if box is not None:
+            dx, du, settled = bounded_step(
+                self.band, self.grad, self.grad_u, D, value, self.point.x, box
+            )
+            return dx, du, None, settled
+        factor = Factor(self.band, D, value)
+        dx, du = factor.solve(-self.grad, -self.grad_u)
+        return dx, du, factor, True
+
+
 def minimise(
     problem: Problem,
     x: Array,
@@ -114,65 +192,33 @@ def minimise(
     """
     max_iterations = max_iterations or problem.settings.max_iterations
     tolerance = tolerance or problem.settings.tolerance
-    x, R_ref = recentre(x if box is None else box.clip(x), R_ref)
-    point = problem.point(x, R_ref, u)
+    point = problem.point(*recentre(x if box is None else box.clip(x), R_ref), u)
     cost = problem.cost(point)
     if not np.isfinite(cost):
         raise SolveError("the cost at the start is not finite")
     step = np.r_[np.full(3, _STEP_ROOT), np.full(problem.n - 3, _STEP_ANGLE)]
-    damping: float = 1e-1
-    growth = 2.0
+    damping = _Damping()
     iteration, slow, stuck = 0, 0, False
     everything = np.ones(x.shape, bool)
     while True:
-        band = problem.hessian(point)
-        grad, grad_u = problem.gradient(point)
-        free = everything if box is None else box.free(x, grad)
+        here = _Here(problem, point, cost, problem.hessian(point), *problem.gradient(point))
+        free = everything if box is None else box.free(point.x, here.grad)
         if slow or stuck or iteration >= max_iterations:
-            promise = _promise(problem, band, np.where(free, grad, 0), grad_u, free, cost)
+            inside = np.where(free, here.grad, 0)
+            promise = _promise(problem, here.band, inside, here.grad_u, free, cost)
             converged = promise.share <= tolerance
             if converged or stuck or slow >= _SLOW or iteration >= max_iterations:
                 break
-        trial = None
-        while trial is None and damping < _LAMBDA_MAX:
-            D, settled, factor = damping / step**2, True, None
-            try:
-                if box is None:
-                    factor = Factor(band, D, damping)
-                    dx, du_flat = factor.solve(-grad, -grad_u)
-                else:
-                    dx, du_flat, settled = bounded_step(band, grad, grad_u, D, damping, x, box)
-            except NotPositiveDefinite:
-                damping, growth = damping * growth, growth * 2
-                continue
-            Hx, Hu = band.dot(dx, du_flat)
-            predicted = -(np.vdot(grad, dx) + grad_u @ du_flat)
-            predicted -= 0.5 * (np.vdot(dx, Hx) + du_flat @ Hu)
-            if settled and predicted <= tolerance * cost * 0.01:
-                break
-            du = du_flat.reshape(-1, CONSTANTS) if len(du_flat) else np.zeros_like(u)
-            if factor is not None:
-                ax, au = _bend(problem, point, dx, du, factor)
-                if np.linalg.norm(ax / step) <= _BEND_LIMIT * np.linalg.norm(dx / step):
-                    dx, du = dx + ax, du + au
-            trial = problem.point(x + dx, R_ref, u + du)
-            new = problem.cost(trial)
-            gain = (cost - new) / predicted if np.isfinite(new) and predicted > 0 else -1.0
-            if gain > 1e-4:
-                damping = max(damping * max(1 / 10, 1 - (2 * float(gain) - 1) ** 3), 1e-9)
-                growth = 2.0
-            else:
-                trial = None
-                damping, growth = damping * growth, growth * 2
-        if trial is None:
+        found = here.lower(damping, step, box, tolerance)
+        if found is None:
             stuck = True
             continue
+        point, new = found
         iteration += 1
         slow = slow + 1 if cost - new < tolerance * cost else 0
-        cost, u, x, point = new, trial.u, trial.x, trial
-        if np.abs(x[:, ROOT_W]).max() > 1e-6:
-            x, R_ref = recentre(x, R_ref)
-            point = problem.point(x, R_ref, u)
+        cost = new
+        if np.abs(point.x[:, ROOT_W]).max() > 1e-6:
+            point = problem.point(*recentre(point.x, point.R_ref), point.u)
         if progress:
             progress(iteration, cost)
     if converged:
@@ -183,5 +229,5 @@ def minimise(
         rule = "stalled on steps too short to lower the cost"
     else:
         rule = f"stopped after {_SLOW} steps that each lowered the cost by less than {tolerance:g}"
-    norm = scaled_norm(np.where(free, grad, 0), grad_u, band)
+    norm = scaled_norm(inside, here.grad_u, here.band)
     return Result(point, iteration, f"{rule}: {promise}", converged, norm)

@@ -69,6 +69,11 @@ class _Oracle:
             self.key, self.jacobian = key, jacobian
         return self.point
 
+    def slope(self, z: Array) -> Array:
+        """Gradient of the cost with respect to z."""
+        g, gu = self.problem.gradient(self.at(z, True))
+        return np.r_[g[self.problem.fixed :].ravel(), gu] / self.scale
+
 
 class _Callback(ca.Callback):
     """A CasADi function whose numbers come from Python; an exception is kept and raised afterwards."""
@@ -230,6 +235,39 @@ def _central(z: Array, slope: Array, lower: Array, upper: Array, mu: float) -> t
     return z, np.where(at_lower, -mu / (z - lower), mu / (upper - z))
 
 
+def _solver(
+    oracle: _Oracle, warm: bool, max_iterations: int, tolerance: float, progress: Progress | None
+) -> tuple[Any, list[_Callback]]:
+    """IPOPT over the oracle's problem, and the callbacks, which must live as long as it does."""
+    problem = oracle.problem
+    triangle = _Triangle(problem, oracle.scale)
+    size = len(oracle.scale)
+    vector, scalar, none = ca.Sparsity.dense(size), ca.Sparsity.dense(1), ca.Sparsity(0, 1)
+    count = 0
+
+    def cost(z: Array, res: Any) -> None:
+        _write(res[0], np.array([problem.cost(oracle.at(z, False))]))
+
+    def slope(z: Array, res: Any) -> None:
+        _write(res[0], np.array([problem.cost(oracle.at(z, True))]))
+        _write(res[1], oracle.slope(z))
+
+    def matrix(z: Array, res: Any) -> None:
+        nonlocal count
+        point = oracle.at(z, True)
+        count += 1
+        if progress:
+            progress(count, problem.cost(point))
+        _write(res[0], triangle.gather(problem.hessian(point)))
+
+    f = _Callback("f", oracle, [vector], [scalar], cost)
+    g = _Callback("grad_f", oracle, [vector, none], [scalar, vector], slope)
+    h = _Callback("hess_lag", oracle, [vector, none, scalar, none], [triangle.sparsity], matrix)
+    z = ca.MX.sym("z", size)
+    options = _options(warm, max_iterations, tolerance) | {"grad_f": g, "hess_lag": h}
+    return ca.nlpsol("sip", "ipopt", {"x": z, "f": f(z)}, options), [f, g, h]
+
+
 def minimise(
     problem: Problem,
     x: Array,
@@ -241,69 +279,36 @@ def minimise(
 ) -> Result:
     """Minimise from x (T,n), R_ref (T,3,3), u (S,7) with lower <= body angles <= upper as bounds.
 
-    warm: the start is a solution of the same problem without hard bounds. IPOPT's `tol` is
-    in sigmas, the root of the settings' relative tolerance: no unknown could win more than half of that in
-    cost. KeyboardInterrupt and errors inside the
-    oracles are raised from here.
+    warm: the start is a solution of the same problem without hard bounds. IPOPT's `tol` is in sigmas, the
+    root of the settings' relative tolerance: no unknown could win more than half of that in cost.
+    KeyboardInterrupt and errors inside the oracles are raised from here; SolveError without a finite point.
     """
     box = problem.box
-    lower, upper = box.lower, box.upper
-    oracle = _Oracle(problem, problem.point(np.clip(x, lower, upper), R_ref, u))
-    triangle = _Triangle(problem, oracle.scale)
-    size = len(oracle.scale)
-    vector, scalar, none = ca.Sparsity.dense(size), ca.Sparsity.dense(1), ca.Sparsity(0, 1)
-    count = 0
-
-    def f(z: Array, res: Any) -> None:
-        _write(res[0], np.array([problem.cost(oracle.at(z, False))]))
-
-    def grad_f(z: Array, res: Any) -> None:
-        point = oracle.at(z, True)
-        _write(res[0], np.array([problem.cost(point)]))
-        g, gu = problem.gradient(point)
-        _write(res[1], np.r_[g[problem.fixed :].ravel(), gu] / oracle.scale)
-
-    def hess(z: Array, res: Any) -> None:
-        nonlocal count
-        point = oracle.at(z, True)
-        count += 1
-        if progress:
-            progress(count, problem.cost(point))
-        _write(res[0], triangle.gather(problem.hessian(point)))
-
-    f_cb = _Callback("f", oracle, [vector], [scalar], f)
-    g_cb = _Callback("grad_f", oracle, [vector, none], [scalar, vector], grad_f)
-    h_cb = _Callback("hess_lag", oracle, [vector, none, scalar, none], [triangle.sparsity], hess)
-    z = ca.MX.sym("z", size)
+    oracle = _Oracle(problem, problem.point(box.clip(x), R_ref, u))
     tolerance = np.sqrt(problem.settings.tolerance)
-    solver = ca.nlpsol(
-        "sip", "ipopt", {"x": z, "f": f_cb(z)},
-        _options(warm, max_iterations, tolerance) | {"grad_f": g_cb, "hess_lag": h_cb},
-    )  # fmt: skip
+    solver, _alive = _solver(oracle, warm, max_iterations, tolerance, progress)
     free = np.full(problem.border, np.inf)
-    lbx, ubx = oracle.join(lower, -free), oracle.join(upper, free)
+    lower, upper = oracle.join(box.lower, -free), oracle.join(box.upper, free)
     start = oracle.join(oracle.x0, u.ravel()[: problem.border])
-    multipliers = np.zeros(size)
+    multipliers = np.zeros(len(start))
     if warm:
-        g, gu = problem.gradient(oracle.at(start, True))
-        slope = np.r_[g[problem.fixed :].ravel(), gu] / oracle.scale
-        start, multipliers = _central(start, slope, lbx, ubx, tolerance**2)
+        start, multipliers = _central(start, oracle.slope(start), lower, upper, tolerance**2)
     with _interruptible(oracle):
-        out = solver(x0=start, lam_x0=multipliers, lbx=lbx, ubx=ubx)
+        out = solver(x0=start, lam_x0=multipliers, lbx=lower, ubx=upper)
     if oracle.interrupted is not None:
         raise oracle.interrupted
     stats = solver.stats()
-    z1 = out["x"].full().ravel()
-    if not np.isfinite(z1).all():
+    end = out["x"].full().ravel()
+    if not np.isfinite(end).all():
         raise SolveError(f"IPOPT ended without a finite point: {stats['return_status']}")
-    xs, us = oracle.split(z1)
-    point = problem.point(np.clip(xs, lower, upper), R_ref, us)
-    g, gu = problem.gradient(point)
+    xs, us = oracle.split(end)
+    point = problem.point(box.clip(xs), R_ref, us)
+    grad, grad_u = problem.gradient(point)
     # On an active bound the multiplier balances the gradient.
-    lam = out["lam_x"].full().ravel() * oracle.scale
-    cut = oracle.frames * problem.n
-    g[problem.fixed :] += lam[:cut].reshape(-1, problem.n)
-    norm = scaled_norm(g, gu, problem.hessian(point))
+    balance = out["lam_x"].full().ravel() * oracle.scale
+    own = oracle.frames * problem.n
+    grad[problem.fixed :] += balance[:own].reshape(-1, problem.n)
+    norm = scaled_norm(grad, grad_u, problem.hessian(point))
     status = str(stats["return_status"])
     good = status in ("Solve_Succeeded", "Solved_To_Acceptable_Level")
     words = _WORDS.get(status, status)
