@@ -126,17 +126,30 @@ def grid(path: Path, t: Array, where: str = "time") -> tuple[float, NDArray[np.i
 
 def gap_report(valid: NDArray[np.bool_], sensors: Names) -> list[str]:
     """One warning for all samples that are missing, with counts by sensor."""
-    lost = (~valid).sum(axis=0)
-    if not lost.any():
+    if valid.all():
         return []
     longest = max(g["frames"] for g in gaps(valid))
-    by = ", ".join(f"{n} {k}" for n, k in zip(sensors, lost, strict=True) if k)
-    if len(sensors) > 1 and (lost == lost[0]).all():
-        by = f"{lost[0]} of each sensor"
     return [
-        f"{int(lost.sum())} of {valid.size} samples are missing or not finite ({by}), the longest "
-        f"gap {longest} frames"
+        f"{int((~valid).sum())} of {valid.size} samples are missing or not finite "
+        f"({_by_sensor(~valid, sensors)}), the longest gap {longest} frames"
     ]
+
+
+def half_report(half: NDArray[np.bool_], sensors: Names, what: str) -> list[str]:
+    """One warning for the samples (T,S) that lack `what` alone, and are used without it."""
+    if not half.any():
+        return []
+    return [
+        f"{int(half.sum())} of {half.size} samples have no {what} ({_by_sensor(half, sensors)})"
+    ]
+
+
+def _by_sensor(lost: NDArray[np.bool_], sensors: Names) -> str:
+    """Counts of samples (T,S) by sensor."""
+    count = lost.sum(axis=0)
+    if len(sensors) > 1 and (count == count[0]).all():
+        return f"{count[0]} of each sensor"
+    return ", ".join(f"{n} {k}" for n, k in zip(sensors, count, strict=True) if k)
 
 
 def smoothed(x: Array, n: int) -> Array:

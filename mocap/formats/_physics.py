@@ -12,7 +12,8 @@ import numpy as np
 
 from mocap import orientation as ori
 from mocap.errors import FormatError
-from mocap.formats._checks import gap_report, smoothed
+from mocap.formats import Options
+from mocap.formats._checks import gap_report, half_report, smoothed
 from mocap.orientation import GRAVITY, Array
 from mocap.recording import RawRecording, Recording
 from mocap.synthesis import second_difference, sensor_positions
@@ -20,6 +21,15 @@ from mocap.synthesis import second_difference, sensor_positions
 STILL_WINDOW_S = 0.5
 LIMB_SPEED = 6.0  # m/s: between two ends of a swing
 FASTEST = 60.0  # rad/s: no limb turns faster, few gyroscopes measure it
+
+
+def factors(options: Options) -> tuple[float, float]:
+    """Factors of acc to m/s^2 and of gyr to rad/s, where the user says that a file, against its format,
+    has them in g or deg/s."""
+    return (
+        GRAVITY if "g" in options.units else 1.0,
+        np.pi / 180 if "deg/s" in options.units else 1.0,
+    )
 
 
 def _stillest(acc: Array, rate_hz: float) -> tuple[Array, Array]:
@@ -54,6 +64,9 @@ def gravity_size(acc: Array, rate_hz: float) -> Array:
 def raw(path: Path, rec: RawRecording) -> list[str]:
     """Warnings on a raw recording; raises FormatError where units or axes contradict gravity."""
     doubts = gap_report(rec.valid, rec.sensors)
+    if rec.R_world_sensor is not None:
+        has = np.asarray(np.isfinite(rec.R_world_sensor).all(axis=(-1, -2)), bool)
+        doubts += half_report(rec.valid & ~has, rec.sensors, "orientation")
     doubts += _accelerometer(path, rec)
     doubts += _gyroscope(path, rec)
     doubts += _up(path, rec)
@@ -211,6 +224,11 @@ def _up(path: Path, rec: RawRecording) -> list[str]:
 def calibrated(path: Path, rec: Recording) -> list[str]:
     """Warnings on a calibrated recording; raises FormatError where gravity is in or acc is in g."""
     doubts = gap_report(rec.valid, rec.sensors)
+    doubts += half_report(rec.valid & ~rec.ori_valid, rec.sensors, "orientation")
+    # A second difference has no value at either end, and some sensors measure orientation alone.
+    half = rec.valid & ~rec.acc_valid & rec.acc_valid.any(axis=0)
+    half[[0, -1]] = False
+    doubts += half_report(half, rec.sensors, "acceleration")
     for s, name in enumerate(rec.sensors):
         a = rec.acc_world[rec.acc_valid[:, s], s]
         if len(a) < 2 * rec.rate_hz:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import mmap
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -61,11 +62,12 @@ def body(options: Options) -> Skeleton:
 
 
 def reference(
-    path: Path, rate_hz: float, poses: Array, skeleton: Skeleton
+    path: Path, rate_hz: float, poses: Array, skeleton: Skeleton, start_s: float = 0.0
 ) -> tuple[Motion | None, list[str]]:
     """Motion of SMPL axis-angle (T,72) rad in our world, the pelvis staying at its rest place.
 
-    None, with a doubt, where some pose is not finite: a reference cannot have holes.
+    start_s: time of the first pose, s. None, with a doubt, where some pose is not finite: a reference
+    cannot have holes.
     """
     bad = ~np.isfinite(poses).all(axis=1)
     if bad.any():
@@ -75,4 +77,5 @@ def reference(
         raise FormatError(
             path, f"is {poses[t, j]:.1f}, expected radians", f"frame {t}, gt column {j}"
         )
-    return Motion.from_smpl(rate_hz, poses, np.zeros((len(poses), 3)), skeleton), []
+    motion = Motion.from_smpl(rate_hz, poses, np.zeros((len(poses), 3)), skeleton)
+    return replace(motion, start_s=start_s), []

@@ -52,6 +52,7 @@ _WANTED = frozenset(_PER)
 _CALIBRATION_FRAMES = ("identity", "tpose", "tpose-isb", "npose")
 SPREAD_DEG = 10.0  # a sensor that moves more than this on its segment is worth a warning
 MAX_NAMES = 200
+REACH = (0.25, 3.0)  # m: from the pelvis to the farthest segment, of a child that squats to a giant
 
 
 @dataclass
@@ -194,11 +195,32 @@ def _is_tpose(take: _Take) -> bool | None:
     return bool(abs(arm[2]) < 0.5 * np.linalg.norm(arm))
 
 
+def _positions(path: Path, take: _Take) -> Array | None:
+    """Positions (T,N,3) m, or None where the file has none.
+
+    Raises FormatError where the pelvis' is not finite, or segments lie farther apart than a body's.
+    """
+    position = _array(path, take, "position")
+    if position is None:
+        return None
+    pelvis = position[:, [take.segments.index("Pelvis")]]
+    bad = ~np.isfinite(pelvis[:, 0]).all(-1)
+    if bad.any():
+        where = _checks.at(("Pelvis",), int(np.argmax(bad)), 0, "position")
+        raise FormatError(path, "not finite", where)
+    reach = np.linalg.norm(position - pelvis, axis=-1)
+    farthest = float(np.median(np.where(np.isfinite(reach), reach, 0.0).max(axis=1)))
+    if not REACH[0] < farthest < REACH[1]:
+        found = f"the farthest segment lies {farthest:.3g} from the pelvis"
+        raise FormatError(path, f"{found}, expected metres", "position")
+    return position
+
+
 def _motion(path: Path, take: _Take, R: Array, rate: float, body: Skeleton) -> Motion:
     """The segments' pose (T,N,3,3) on our tree. The pelvis segment's origin lies between the hips."""
     index = [take.segments.index(n) for n in _SEGMENTS]
     R_world_joint = R[:, index]
-    position = _array(path, take, "position")
+    position = _positions(path, take)
     between = body.rest_positions[[1, 2]].mean(axis=0) - body.offsets[0]
     if position is None:
         p = np.zeros((len(R), 3))
@@ -211,7 +233,12 @@ def _motion(path: Path, take: _Take, R: Array, rate: float, body: Skeleton) -> M
 
 
 def _recording(
-    path: Path, take: _Take, R_segment: Array, motion: Motion | None, rate: float
+    path: Path,
+    take: _Take,
+    R_segment: Array,
+    motion: Motion | None,
+    rate: float,
+    options: Options,
 ) -> tuple[Recording, list[str]]:
     """Sensors on their bones: R_world_bone = R_world_sensor R_bone_sensor^T.
 
@@ -240,7 +267,7 @@ def _recording(
         spread = float(np.rad2deg(np.median(ori.angle_between(mount, relative[ok, s]))))
         if spread > SPREAD_DEG:
             doubts.append(f"sensor {name}: {spread:.0f} deg (median) off a constant mounting")
-    acc = free[:, use] @ R_OURS_MVN.T
+    acc = free[:, use] @ R_OURS_MVN.T * _physics.factors(options)[0]
     return Recording(rate, sensors, R_bone, acc, reference=motion), doubts
 
 
@@ -271,7 +298,7 @@ def _read(path: Path, options: Options) -> Document:
         )
     has_sensors = all(len(take.values[tag]) for tag in _SENSOR_TAGS)
     if has_sensors and any(n in PLACES and n in take.segments for n in take.sensors):
-        rec, more = _recording(path, take, R, motion, rate)
+        rec, more = _recording(path, take, R, motion, rate, options)
         assumed.append("sensors are mounted on their segments at their mean relative orientation")
         doubts += more + _physics.calibrated(path, rec)
         return Document("mvnx", rec, tuple(assumed), tuple(doubts))

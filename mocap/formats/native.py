@@ -21,7 +21,6 @@ from mocap.errors import FormatError, PoserError
 from mocap.formats import Content, Document, Format, Options, _checks, _npz, _physics, amass
 from mocap.formats._files import write_aside
 from mocap.motion import Motion
-from mocap.orientation import GRAVITY
 from mocap.recording import RawRecording, Recording
 from mocap.skeleton import Skeleton
 
@@ -41,8 +40,9 @@ _RAW = (
 def read_recording(path: str | Path, options: Options | None = None) -> Recording:
     """A calibrated recording of a "poser-recording/1" file.
 
-    R_world_bone (T,S,3,3) and acc_world (T,S,3) m/s^2 come back as float64. Raises FormatError
-    naming the field that is missing or does not fit, also for a file of another schema.
+    R_world_bone (T,S,3,3) and acc_world (T,S,3) m/s^2 come back as float64; "g" among the options' units
+    says that a file, against the schema, has that. Raises FormatError naming the field that is missing or
+    does not fit, also for a file of another schema.
     """
     path = Path(path)
     fields = _fields(path, RECORDING)
@@ -50,7 +50,7 @@ def read_recording(path: str | Path, options: Options | None = None) -> Recordin
     S = len(sensors)
     R = fields.floats("R_world_bone", (None, S, 3, 3))
     T = len(R)
-    acc = fields.floats("acc_world", (T, S, 3))
+    acc = fields.floats("acc_world", (T, S, 3)) * _physics.factors(options or Options())[0]
     rate = fields.number("rate_hz")
     start = fields.number("start_s") if "start_s" in fields else 0.0
     return _made(
@@ -80,9 +80,7 @@ def read_raw(path: str | Path, options: Options | None = None) -> RawRecording:
     """
     path = Path(path)
     fields = _fields(path, RAW)
-    units = options.units if options is not None else frozenset()
-    acc_unit = GRAVITY if "g" in units else 1.0
-    gyr_unit = np.pi / 180 if "deg/s" in units else 1.0
+    acc_unit, gyr_unit = _physics.factors(options or Options())
     sensors = fields.texts("sensors")
     S = len(sensors)
     acc = fields.floats("acc", (None, S, 3)) * acc_unit

@@ -217,6 +217,8 @@ def _read(path: Path, options: Options) -> Document:
         np.stack([_field(path, data, n, f, (len(t), k)) for n in segments], axis=1)
         for f, k in shapes
     )
+    acc_unit, gyr_unit = _physics.factors(options)
+    acc, gyr = acc * acc_unit, gyr * gyr_unit
     R_segment, zeros = _checks.quaternions(path, quat, sensors, "quat")
     if zeros:
         doubts.append(f"{zeros} quaternions are zero, read as missing")

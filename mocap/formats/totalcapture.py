@@ -215,22 +215,24 @@ def _read_sensors(path: Path, options: Options) -> Document:
     sensors = tuple(PLACES[n] for n in data.names)
     rate = options.rate_hz or RATE
     R_I_S, zeros = _checks.quaternions(path, data.quat, data.names, "orientation")
+    acc_unit, gyr_unit = _physics.factors(options)
+    measured = data.acc * acc_unit
     assumed = [] if options.rate_hz else [f"rate {RATE:g} Hz, as the data set states"]
     doubts = [f"{zeros} quaternions are zero, read as missing"] if zeros else []
     if data.gyr is None:
         assumed.append("no rates in the file; gyr is the rate of the orientation")
-    gyr = _checks.rates(R_I_S, rate) if data.gyr is None else data.gyr
+    gyr = _checks.rates(R_I_S, rate) if data.gyr is None else data.gyr * gyr_unit
     bone, ref = _beside(path, "calib_imu_bone"), _beside(path, "calib_imu_ref")
     if bone is None or ref is None:
         doubts.append("no calibration files beside it: read as a raw recording")
         assumed.append("the sensors' world is z-up, y-up here")
-        rec = RawRecording(rate, sensors, gyr, data.acc, data.mag, ori.R_YUP_ZUP @ R_I_S)
+        rec = RawRecording(rate, sensors, gyr, measured, data.mag, ori.R_YUP_ZUP @ R_I_S)
         return Document("totalcapture", rec, tuple(assumed), (*doubts, *_physics.raw(path, rec)))
     R_S_B = np.swapaxes(_calibration(bone, data.names), -1, -2) @ BONE
     R_M_S = WORLD @ _calibration(ref, data.names) @ R_I_S  # R_I_M^T = WORLD^T R(q), WORLD symmetric
-    raw = RawRecording(rate, sensors, gyr, data.acc, data.mag, R_M_S)
+    raw = RawRecording(rate, sensors, gyr, measured, data.mag, R_M_S)
     doubts += [d for d in _physics.raw(path, raw) if d not in doubts]
-    acc = np.einsum("tsij,tsj->tsi", R_M_S, data.acc) - np.array([0, ori.GRAVITY, 0])
+    acc = np.einsum("tsij,tsj->tsi", R_M_S, measured) - np.array([0, ori.GRAVITY, 0])
     calibrated = Recording(rate, sensors, R_M_S @ R_S_B, acc, valid=raw.valid)
     assumed.append(f"calibrated by {bone.name} and {ref.name} as one public reader does")
     positions = _positions_file(path)
@@ -259,8 +261,10 @@ def _read_pickle(path: Path, options: Options) -> Document:
     rate = options.rate_hz or RATE
     R = _checks.rotations(path, R[:T], LEGS_FIRST, "ori")
     whole = _holes.poses(pose[:T], rate)
-    reference, said = _pickled.reference(path, rate, whole.values, _pickled.body(options))
-    R, acc, start_s = R[whole.kept], acc[:T][whole.kept], whole.kept.start / rate
+    start_s = whole.kept.start / rate
+    body = _pickled.body(options)
+    reference, said = _pickled.reference(path, rate, whole.values, body, start_s)
+    R, acc = R[whole.kept], acc[:T][whole.kept] * _physics.factors(options)[0]
     rec = Recording(rate, LEGS_FIRST, R, acc, reference=reference, start_s=start_s).select(SIX)
     assumed = (
         f"rate {rate:g} Hz; sensors legs first, as three of four public readers have it",

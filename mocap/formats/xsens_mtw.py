@@ -194,6 +194,11 @@ def _read(path: Path, options: Options) -> Document:
         for g in ("acc", "gyr", "mag")
         if all(g in e.columns for e in exports)
     }
+    columns |= {
+        g: columns[g] * factor
+        for g, factor in zip(("acc", "gyr"), _physics.factors(options), strict=True)
+        if g in columns
+    }
     assumptions = ["world is z-up in the file, y-up here"]
     if source:
         assumptions.append(f"sensors {source}")

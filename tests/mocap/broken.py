@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from mocap.errors import FormatError, PoserError
-from mocap.formats import Format, Options
+from mocap.formats import Document, Format, Options
 
 Break = Callable[[Path], Path]
 Cases = dict[str, tuple[Break, str]]
@@ -37,6 +37,13 @@ def must_fail(path: Path, reader: Format, message: str = "") -> None:
     assert time.monotonic() - start < SECONDS
     grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
     assert grown < MEGABYTES * 1024, f"{grown // 1024} MiB"
+
+
+def must_read(path: Path, reader: Format) -> None:
+    """A good file is recognised and read, so that a broken one fails by what was broken."""
+    head = path.read_bytes()[:4096] if path.is_file() else b""
+    assert reader.sniff(path, head)
+    assert isinstance(reader.read(path, Options()), Document)
 
 
 def cut(path: Path, keep: float) -> Path:

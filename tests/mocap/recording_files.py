@@ -418,6 +418,17 @@ class Evil:
         return Path.write_text, (self.target, "executed")
 
 
+class LyingArray:
+    """Pickled as an array of doubles that declares `shape` and holds eight bytes."""
+
+    def __init__(self, shape: tuple[int, ...]):
+        self.shape = shape
+
+    def __reduce__(self) -> tuple[object, ...]:
+        make, arguments, state = np.zeros(1).__reduce__()  # type: ignore[misc]
+        return make, arguments, (state[0], self.shape, *state[2:])
+
+
 def lying_npy(shape: tuple[int, ...], descr: str = "<f8") -> bytes:
     """An .npy member that declares `shape` and holds eight bytes."""
     header = f"{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}\n".encode()

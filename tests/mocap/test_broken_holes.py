@@ -92,8 +92,9 @@ def test_dip_cuts_sensors_and_reference_together(tmp_path: Path) -> None:
     data["gt"][:6], data["gt"][230:] = np.nan, np.nan
     rec, said = _read(dip.FORMAT.read(files.dip(tmp_path, data), Options()))
     want = files.recording(files.DIP_17)
-    assert len(rec) == 224 and rec.start_s == pytest.approx(0.1)
-    assert rec.reference is not None and want.reference is not None
+    assert len(rec) == 224 and rec.reference is not None
+    assert rec.start_s == rec.reference.start_s == pytest.approx(0.1)
+    assert want.reference is not None
     np.testing.assert_allclose(rec.R_world_bone, want.R_world_bone[6:230], atol=1e-9)
     np.testing.assert_allclose(
         rec.reference.R_world_joint, want.reference.R_world_joint[6:230], atol=1e-9
