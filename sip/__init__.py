@@ -3,5 +3,6 @@
 from sip.prior import Prior
 from sip.settings import Settings
 from sip.solve import solve
+from sip.starts import cheapest
 
-__all__ = ["Prior", "Settings", "solve"]
+__all__ = ["Prior", "Settings", "cheapest", "solve"]
