@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from mocap.errors import FormatError
+from mocap.formats._pickled import LARGEST_ANGLE
 from mocap.orientation import Array
 
 MAX_BYTES = 512 << 20
@@ -285,9 +286,15 @@ def _values(
     if bad.any():
         t, k = (int(i) for i in np.argwhere(bad)[0])
         raise FormatError(path, f"{dof[k]} is {values[t, k]:g}", f"frame {t + 1}, bone {name}")
+    turned = [k for k, d in enumerate(dof) if d in ROTATIONS]
     if degrees:
-        turned = [k for k, d in enumerate(dof) if d in ROTATIONS]
         values[:, turned] = np.radians(values[:, turned])
+    elif np.abs(values[:, turned]).max(initial=0.0) > LARGEST_ANGLE:
+        t = int(np.abs(values[:, turned]).max(axis=1).argmax())
+        found = float(np.abs(values[t, turned]).max())
+        raise FormatError(
+            path, f"an angle is {found:g}, expected radians", f"frame {t + 1}, bone {name}"
+        )
     return values
 
 

@@ -31,6 +31,7 @@ _WRITTEN = ("poses", "trans", "betas", "gender", "mocap_framerate")
 # of which takes the place of SMPL's hand joint; SMPL-X has jaw and eyes before them.
 HANDS = {72: (66, 69), 156: (66, 111), 165: (75, 120)}
 COLUMNS = 156
+FASTEST = 15.0  # m/s: no runner is, even for a moment
 FARTHEST = 1e5  # m: a translation beyond it is no person's
 
 
@@ -126,12 +127,17 @@ def _body(fields: _npz.Fields, options: Options) -> tuple[Skeleton, list[str]]:
 
 
 def _doubts(motion: Motion) -> list[str]:
-    """A body that never rises is a sign of a file with another axis up."""
+    """A body that never rises tells of another axis up, one that flies of another unit."""
+    doubts = []
+    step = np.linalg.norm(np.diff(motion.p_world_root, axis=0), axis=1)
+    speed = float(np.median(step)) * motion.rate_hz if len(step) else 0.0
+    if speed > FASTEST:
+        doubts.append(f"the pelvis moves at {speed:.0f} m/s (median): trans may not be in metres")
     trunk = motion.p_world_joint[:, JOINTS.index("neck")] - motion.p_world_root
     up = trunk[:, 1] / np.linalg.norm(trunk, axis=1)
     if up.max() < 0.5:
-        return ["the trunk is never upright: the file may not be z-up, as AMASS files are"]
-    return []
+        doubts.append("the trunk is never upright: the file may not be z-up, as AMASS files are")
+    return doubts
 
 
 def write_motion(

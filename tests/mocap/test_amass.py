@@ -7,6 +7,7 @@ from pathlib import Path
 import broken
 import numpy as np
 import pytest
+from recording_files import Evil, lying_npy, objects, with_member
 
 from mocap import formats
 from mocap import orientation as ori
@@ -142,31 +143,66 @@ def test_extras_stay_out_of_the_format(rng: np.random.Generator, tmp_path: Path)
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize(
-    ("fields", "message"),
-    [
-        ({"poses": np.zeros((3, 63))}, r"'poses': has shape \(3, 63\), expected \(T, 72\)"),
-        ({"poses": np.zeros((0, 156))}, "has shape"),
-        ({"poses": np.zeros((3, 2, 78))}, "has shape"),
-        ({"poses": np.full((3, 156), np.nan)}, "frame 0, field 'poses': is nan, expected radians"),
-        ({"poses": np.full((3, 156), 90.0)}, "is 90, expected radians"),
-        ({"trans": np.full((3, 3), np.inf)}, "field 'trans': is inf, expected metres"),
-        ({"trans": np.zeros((4, 3))}, r"'trans': has shape \(4, 3\), expected \(3, 3\)"),
-        ({"trans": None}, "'trans' is missing"),
-        ({"poses": None}, "'poses' is missing"),
-        ({"poses": np.array([["a"] * 156])}, "expected real numbers"),
-        ({"poses": np.array([{}], object)}, "pickled objects, which are never loaded"),
-        ({"mocap_framerate": 0.0}, "rate_hz must lie between"),
-        ({"mocap_framerate": np.nan}, "expected a finite number"),
-        ({"mocap_framerate": None}, "no frame rate"),
-        ({"betas": np.full(16, np.nan)}, "no shape of finite numbers"),
-        ({"height": np.array(17.5)}, r"height 17\.5 m is outside"),
-        ({"offsets": np.zeros((24, 4))}, r"has shape \(24, 4\)"),
-    ],
-)  # fmt: skip
-def test_broken_fields(tmp_path: Path, fields: dict[str, object], message: str) -> None:
-    path = a_file(tmp_path / "m.npz", **{"poses": np.zeros((3, 156)), **fields})
-    broken.must_fail(path, amass.FORMAT, message)
+BROKEN: dict[str, tuple[dict[str, object], str]] = {
+    "63 columns": ({"poses": np.zeros((3, 63))}, r"'poses': has shape \(3, 63\), expected \(T, 72\)"),
+    "no frames": ({"poses": np.zeros((0, 156))}, "has shape"),
+    "three axes": ({"poses": np.zeros((3, 2, 78))}, "has shape"),
+    "nan": ({"poses": np.full((3, 156), np.nan)}, "frame 0, field 'poses': is nan, expected radians"),
+    "in degrees": ({"poses": np.full((3, 156), 90.0)}, "is 90, expected radians"),
+    "trans inf": ({"trans": np.full((3, 3), np.inf)}, "field 'trans': is inf, expected metres"),
+    "trans longer": ({"trans": np.zeros((4, 3))}, r"'trans': has shape \(4, 3\), expected \(3, 3\)"),
+    "no trans": ({"trans": None}, "'trans' is missing"),
+    "no poses": ({"poses": None}, "'poses' is missing"),
+    "text": ({"poses": np.array([["a"] * 156])}, "expected real numbers"),
+    "pickle": ({"poses": np.array([{}], object)}, "pickled objects, which are never loaded"),
+    "rate zero": ({"mocap_framerate": 0.0}, "rate_hz must lie between"),
+    "rate nan": ({"mocap_framerate": np.nan}, "expected a finite number"),
+    "no rate": ({"mocap_framerate": None}, "no frame rate"),
+    "betas nan": ({"betas": np.full(16, np.nan)}, "no shape of finite numbers"),
+    "a giant": ({"height": np.array(17.5)}, r"height 17\.5 m is outside"),
+    "bones of 4": ({"offsets": np.zeros((24, 4))}, r"has shape \(24, 4\)"),
+}  # fmt: skip
+
+
+def in_file(fields: dict[str, object]) -> broken.Break:
+    return lambda d: a_file(d / "m.npz", **{"poses": np.zeros((3, 156)), **fields})  # type: ignore[arg-type]
+
+
+def evil(folder: Path) -> Path:
+    """An array that would write a file when unpickled."""
+    return in_file({"poses": objects([Evil(folder / "executed")])})(folder)
+
+
+def lying(folder: Path) -> Path:
+    return with_member(
+        in_file({})(folder), folder / "lie.npz", "poses.npy", lying_npy((10**12, 156))
+    )
+
+
+CASES: broken.Cases = {name: (in_file(fields), said) for name, (fields, said) in BROKEN.items()} | {
+    "cut": (lambda d: broken.cut(in_file({})(d), 0.5), "damaged or cut short"),
+    "empty": (lambda d: broken.cut(in_file({})(d), 0.0), "damaged or cut short"),
+    "malicious": (evil, "pickled objects, which are never loaded"),
+    "huge count": (lying, "declares"),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_broken_files(tmp_path: Path, case: str) -> None:
+    make, message = CASES[case]
+    broken.must_fail(make(tmp_path), amass.FORMAT, message)
+    assert not (tmp_path / "executed").exists()
+
+
+def test_centimetres_are_doubted(tmp_path: Path) -> None:
+    """A walk of 1.3 m/s written in cm flies at 130 m/s."""
+    trans = np.zeros((30, 3))
+    trans[:, 0] = 1.3 * np.arange(30) / 120
+    path = a_file(tmp_path / "m.npz", np.zeros((30, 156)), trans=trans)
+    assert not any("metres" in w for w in formats.read(path).warnings)
+    path = a_file(tmp_path / "m.npz", np.zeros((30, 156)), trans=100 * trans)
+    said = formats.read(path).warnings
+    assert any("moves at 130 m/s (median): trans may not be in metres" in w for w in said)
 
 
 @pytest.mark.parametrize("keep", [0.05, 0.5, 0.99])

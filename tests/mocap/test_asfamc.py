@@ -194,6 +194,10 @@ AMC = {
     "a bone twice": (lambda s: s.replace("ltibia 0", "lradius 0", 1), "'lradius' occurs twice"),
     "nothing": (lambda s: "", "no line '1'"),
     "garbage": (lambda s: "\x01\x02 garbage" * 50, "no line '1'"),
+    "degrees said to be radians": (
+        lambda s: s.replace(":DEGREES", ":RADIANS").replace("lradius 0", "lradius 90", 1),
+        "frame 1, bone lradius: an angle is 90, expected radians",
+    ),
     "zero bytes": (lambda s: s + "\0", "zero bytes"),
 }
 ASF = {
@@ -212,10 +216,19 @@ ASF = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [pytest.param(frames_of(f), m, id=f"amc: {n}") for n, (f, m) in AMC.items()]
-    + [pytest.param(skeleton_of(f), m, id=f"asf: {n}") for n, (f, m) in ASF.items()],
-)
-def test_broken_files(tmp_path: Path, make: Callable[[Path], Path], message: str) -> None:
+def a_huge_file(folder: Path) -> Path:
+    path = a_trial(folder, [{}])
+    with path.open("r+b") as f:
+        f.truncate(1 << 40)  # sparse: takes no space
+    return path
+
+
+CASES: broken.Cases = {name: (frames_of(change), said) for name, (change, said) in AMC.items()}
+CASES |= {f"asf: {name}": (skeleton_of(change), said) for name, (change, said) in ASF.items()}
+CASES["huge file"] = (a_huge_file, "1048576 MiB, at most 512 are read")
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_broken_files(tmp_path: Path, case: str) -> None:
+    make, message = CASES[case]
     broken.must_fail(make(tmp_path), asfamc.FORMAT, message)

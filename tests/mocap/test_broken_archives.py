@@ -80,6 +80,10 @@ NATIVE: Cases = {
         _npz(_REC, R_world_bone=lambda R: R @ LEFT_HANDED),
         "frame 1, sensor pelvis: R_world_bone is left-handed",
     ),
+    "recording not orthonormal": (
+        _npz(_REC, R_world_bone=lambda R: one(R, (9, 2), 1.3 * R[9, 2])),
+        "frame 9, sensor right_thigh: R_world_bone is not orthonormal",
+    ),
     "not orthonormal": (
         _npz(_RAW, R_world_sensor=lambda R: one(R, (9, 2), 1.3 * R[9, 2])),
         "frame 9, sensor right_thigh: R_world_sensor is not a rotation",

@@ -183,6 +183,13 @@ CSV_FOLDER: Cases = {
     "one in g": (
         _folder(lambda d: replaced(d / "pelvis.csv", "acc: m/s^2", "acc: g")), "declares acc 'g', another"
     ),
+    "one without a column": (
+        _folder(lambda d: replaced(d / "pelvis.csv", "acc_y", "acc_q")), "sensor pelvis: no column acc_y"
+    ),
+    "one non-unit": (
+        _folder(lambda d: replaced(d / "pelvis.csv", "-0.9660457", "-2")),
+        "frame 0, sensor pelvis: quat: quaternion of norm 2.0",
+    ),
     "one cut": (_folder(lambda d: cut(d / "pelvis.csv", 0.5)), "pelvis.csv: line"),
     "nothing in it": (_folder(lambda d: [p.unlink() for p in d.iterdir()]), "0 CSV files, expected"),
     "another day": (
