@@ -1,8 +1,8 @@
-"""Orientation from gyr and acc (and mag): the truth, any rate, gaps, errors."""
+"""Orientation from gyr and acc (and mag): the truth, what realistic noise leaves of it, gaps, errors."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from mocap import sensors as places
 from mocap.errors import CalibrationError
 from mocap.fusion import fuse, with_orientation
 from mocap.recording import RawRecording
-from mocap.synthesis import NOISES, raw_recording
+from mocap.synthesis import NOISES, Noise, raw_recording
 from poser.motions import builtin
 
 
@@ -55,6 +55,88 @@ def test_magnetometers_make_the_heading_common(raw: RawRecording) -> None:
     assert found.common_heading
     off = ori.heading(found.R_world_sensor @ np.swapaxes(raw.R_world_sensor, -1, -2))[60:]
     assert np.degrees(np.abs(np.angle(np.exp(1j * (off - off[0, 0]))))).max() < 3.0
+
+
+TAU_S = 3.0  # VQF's default time constant of the correction by gravity
+SPAN_S = 5.0
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What the noise does to an orientation, deg, root mean square."""
+
+    bias: float
+    white: float
+    lost_tilt: float
+    lost_heading: float
+    walk: float
+
+    @classmethod
+    def of(cls, noise: Noise, rate_hz: float) -> Expected:
+        """From the noise's own numbers. gyr and acc measure the sensor, soft tissue and all, so tissue and
+        mounting are no error here but in the samples that are lost.
+
+        bias: acc_bias in the two level axes tilts "up" by sqrt(2) acc_bias / g. white: density acc_white^2
+        / 60 in each, through a two-pole low-pass at sqrt(2) / (2 pi TAU_S), whose noise bandwidth, both
+        sides, is 0.5 / TAU_S. lost: a burst of n samples (geometric, mean loss_s) hides the change of
+        the tissue's wobble, 2 s^2 (1 - k^n) per axis, k its correlation over a sample, and puts n times
+        the mean of the rates beside it in its place, n^2 s^2 (1 - k). With loss / loss_s bursts a second
+        this is a random walk, which gravity stops for the tilt's two axes within TAU_S (steady variance
+        rate TAU_S / 2; looking both ways in time, no more than that), and nothing for the heading.
+        walk: of the heading that the reference itself reports.
+        """
+        k, leave = np.exp(-1 / (rate_hz * noise.tissue_s)), min(1, 1 / (noise.loss_s * rate_hz))
+        hidden = 2 * (1 - leave * k / (1 - (1 - leave) * k))
+        bridged = (2 - leave) / leave**2 * (1 - k)
+        rate = noise.loss / noise.loss_s * noise.tissue_deg**2 * (hidden + bridged)
+        density = noise.acc_white**2 / 60
+        return cls(
+            bias=float(np.degrees(np.sqrt(2) * noise.acc_bias / ori.GRAVITY)),
+            white=float(np.degrees(np.sqrt(2 * density * 0.5 / TAU_S) / ori.GRAVITY)),
+            lost_tilt=float(np.sqrt(2 * rate * TAU_S / 2)),
+            lost_heading=float(np.sqrt(rate * SPAN_S)),
+            walk=noise.heading_walk_deg * np.sqrt(SPAN_S),
+        )
+
+
+def rms(x: np.ndarray) -> float:
+    return float(np.sqrt(np.nanmean(x**2)))
+
+
+def errors(noise: Noise, rate_hz: float, seed: int) -> tuple[float, float]:
+    """Tilt, and change of heading over SPAN_S, of 17 sensors against the truth: deg, root mean square."""
+    raw = raw_recording(builtin(rate_hz), places.SUIT, noise, seed)
+    found = fuse(replace(raw, mag=None)).R_world_sensor
+    assert raw.R_world_sensor is not None
+    off = ori.heading(found @ np.swapaxes(raw.R_world_sensor, -1, -2))
+    span = round(SPAN_S * rate_hz)
+    change = np.degrees(np.angle(np.exp(1j * (off[span:] - off[:-span]))))
+    return rms(tilt_deg(found, raw.R_world_sensor)), rms(change)
+
+
+@pytest.mark.parametrize("rate_hz", [60.0, 100.0])
+def test_realistic_noise_leaves_what_it_must(rate_hz: float) -> None:
+    """Tilt and heading are off by what `Expected` says of the noise, and what motion alone does.
+
+    The bias of 17 sensors has 34 level components, so its root mean square varies by 1/sqrt(68) = 12 %
+    from draw to draw: within three of these, 36 %. Of bursts there are some 75 in a recording, of very
+    different size: 50 % for the heading; the tilt's variance is a bound from above, 20 % over it.
+    """
+    noise = Noise()
+    expected = Expected.of(noise, rate_hz)
+    moving, drift = errors(Noise.none(), rate_hz, 0)
+    assert moving < 0.6 and drift < 0.1
+
+    tilt, change = errors(replace(noise, loss=0.0), rate_hz, 1)
+    assert tilt == pytest.approx(
+        np.hypot(moving, np.hypot(expected.bias, expected.white)), rel=0.36
+    )
+    assert change == pytest.approx(expected.walk, rel=0.36)
+
+    tilt, change = errors(noise, rate_hz, 1)
+    most = np.sqrt(moving**2 + expected.bias**2 + expected.white**2 + expected.lost_tilt**2)
+    assert expected.bias < tilt < 1.2 * most
+    assert change == pytest.approx(np.hypot(expected.walk, expected.lost_heading), rel=0.5)
 
 
 def test_online_variant_agrees_with_offline(raw: RawRecording) -> None:
