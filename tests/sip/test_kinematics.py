@@ -7,9 +7,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from mocap import Motion, Skeleton
+from mocap import Motion, Skeleton, sensors
 from mocap import orientation as ori
 from sip import kinematics as kin
+from sip.problem import SensorKinematics
 
 
 @pytest.mark.parametrize("height", [None, 1.95])
@@ -41,6 +42,111 @@ def test_vectorised_kinematics_agree_with_pinocchio(rng: np.random.Generator) ->
         for j, pin_id in enumerate(skeleton.pin_ids):
             assert np.allclose(motion.R_world_joint[t, j], data.oMi[pin_id].rotation, atol=1e-12)
             assert np.allclose(motion.p_world_joint[t, j], data.oMi[pin_id].translation, atol=1e-12)
+
+
+# Central differences of step h err by h^2 / 6 times a third derivative (some tens, of a chain and a
+# logarithm), 1e-9, and by rounding over h, 1e-10; the Jacobians' entries are up to 1.
+STEP, TOLERANCE = 1e-5, 1e-8
+
+
+def _pin_point(
+    rng: np.random.Generator, skeleton: Skeleton, theta: np.ndarray, R_ref: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pinocchio's q, and its tangent in the unknowns: x' = B v, (75, nv).
+
+    pin.integrate turns every joint by R Exp(v) and moves the root by R_root v; our unknowns are p and
+    rotation vectors, theta' = J_r(theta)^-1 v, by Pinocchio's own Jlog3.
+    """
+    model = skeleton.pin_model
+    local = ori.exp(theta)
+    local[0] = R_ref @ local[0]
+    q = skeleton.pin_configuration(local, rng.normal(size=3))
+    B = np.zeros((75, model.nv))
+    B[:3, :3] = local[0]
+    for j, pin_id in enumerate(skeleton.pin_ids):
+        at = model.joints[pin_id].idx_v + (3 if j == 0 else 0)
+        B[3 + 3 * j : 6 + 3 * j, at : at + 3] = pin.Jlog3(pin.exp3(theta[j]))
+    return q, B
+
+
+@pytest.mark.parametrize("size", [0.0, 0.05, 0.7])
+@pytest.mark.parametrize("at_measurement", [True, False])
+def test_sensor_jacobians_through_pin_integrate(
+    rng: np.random.Generator, size: float, at_measurement: bool
+) -> None:
+    """What all terms and both solvers use, against Pinocchio's kinematics moved by pin.integrate.
+
+    Where the measurement is the bone's own rotation, the orientation's rows are the bone's angular
+    Jacobian; elsewhere they hold the logarithm's as well. Mounting and heading are those of a
+    self-calibration.
+    """
+    skeleton = Skeleton.default()
+    model, data = skeleton.pin_model, skeleton.pin_model.createData()
+    joint, seat = sensors.joints_and_seats(sensors.SUIT)
+    k = SensorKinematics(skeleton, joint, seat)
+    theta, R_ref = size * rng.normal(size=(24, 3)), ori.exp(rng.normal(size=3))
+    passive = [j for j in range(1, 24) if j not in k.active]
+    theta[passive] = 0.0
+    q, B = _pin_point(rng, skeleton, theta, R_ref)
+    u = np.zeros((k.S, 7))
+    if not at_measurement:
+        u[:, :4] = 0.2 * rng.normal(size=(k.S, 4))
+
+    def measured(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """R_y(heading) R_world_bone Exp(mounting), and the sensors' places."""
+        pin.forwardKinematics(model, data, q)
+        placed = [data.oMi[skeleton.pin_ids[j]] for j in joint]
+        R = np.array([M.rotation for M in placed])
+        p = np.array([M.translation + M.rotation @ s for M, s in zip(placed, seat, strict=True)])
+        return ori.rot_y(u[:, 3]) @ R @ ori.exp(u[:, :3]), p
+
+    R_meas = measured(q)[0]
+    if not at_measurement:
+        R_meas = R_meas @ ori.exp(0.5 * rng.normal(size=(k.S, 3)))
+
+    def residual(q: np.ndarray) -> np.ndarray:
+        R, p = measured(q)
+        e = [pin.log3(a.T @ b) for a, b in zip(R_meas, R, strict=True)]
+        return np.stack([np.array(e), p])
+
+    rows = np.r_[0:6, [3 + 3 * j + i for j in k.active for i in range(3)]]
+    x = np.r_[q[:3], theta.ravel()][rows]
+    values = k.evaluate(x[None], R_ref[None], R_meas[None], u, True)
+    np.testing.assert_allclose(np.stack(values[:2])[:, 0], residual(q), atol=1e-12)
+    jacobian = np.stack(values[2:4])[:, 0] @ B[rows]  # (2, S, 3, nv)
+    assert np.abs(jacobian).max() > 0.5
+    for i in range(model.nv):
+        v = np.zeros(model.nv)
+        v[i] = STEP
+        ends = [residual(pin.integrate(model, q, s * v)) for s in (-1, 1)]
+        numeric = (ends[1] - ends[0]) / (2 * STEP)
+        np.testing.assert_allclose(jacobian[..., i], numeric, atol=TOLERANCE)
+
+
+def test_joint_jacobians_through_pin_integrate(rng: np.random.Generator) -> None:
+    """All 24 joints' places and rotations, differentiated by CasADi, moved by pin.integrate."""
+    skeleton = Skeleton.default(1.6)
+    model, data = skeleton.pin_model, skeleton.pin_model.createData()
+    forward = kin.numeric_forward(skeleton)
+    x, R_ref = ca.MX.sym("x", 75), ca.MX.sym("R_ref", 3, 3)
+    stacked = ca.vertcat(*[ca.vec(out) for out in forward(x, R_ref)])
+    derivative = ca.Function("derivative", [x, R_ref], [ca.jacobian(stacked, x)])
+    theta, R_ref_value = 0.7 * rng.normal(size=(24, 3)), ori.exp(rng.normal(size=3))
+    q, B = _pin_point(rng, skeleton, theta, R_ref_value)
+
+    def joints(q: np.ndarray) -> np.ndarray:
+        """Rotations, column by column, then places, joint by joint, as `stacked`."""
+        pin.forwardKinematics(model, data, q)
+        placed = [data.oMi[i] for i in skeleton.pin_ids]
+        R, p = [M.rotation.T.ravel() for M in placed], [M.translation for M in placed]
+        return np.r_[np.concatenate(R), np.concatenate(p)]
+
+    J = derivative(np.r_[q[:3], theta.ravel()], R_ref_value).full() @ B
+    for i in range(model.nv):
+        v = np.zeros(model.nv)
+        v[i] = STEP
+        ends = [joints(pin.integrate(model, q, s * v)) for s in (-1, 1)]
+        np.testing.assert_allclose(J[:, i], (ends[1] - ends[0]) / (2 * STEP), atol=TOLERANCE)
 
 
 def _function(f: object, *shape: int) -> ca.Function:
