@@ -13,13 +13,15 @@ from mocap import sensors as places
 from mocap.calibration import Calibration, calibrate, pose_bones
 from mocap.errors import CalibrationError, SensorError
 from mocap.facing import wrap
+from mocap.findings import Finding
 from mocap.formats import Options, xsens_mtw
 from mocap.motion import Motion
 from mocap.recording import RawRecording, Recording
 from mocap.skeleton import Skeleton
 from mocap.static_pose import find_static
-from mocap.synthesis import NOISES, raw_recording, recording
-from poser.motions import builtin
+from mocap.synthesis import NOISES, prepare, raw_recording, recording
+from poser.motions import builtin, walk
+from poser.staging import with_static_pose
 
 ARMS = ("left_upper_arm", "right_upper_arm", "left_forearm", "right_forearm", "pelvis")
 
@@ -244,7 +246,39 @@ def test_static_pose_is_found_on_the_file_s_clock(motion: Motion) -> None:
         find_static(raw, 3.0)
     moving = find_static(raw, 46.0)
     assert not moving.still
-    assert any(f.code == "pose-not-still" for f in calibrate(raw, at=46.0)[1].diagnostics)
+
+
+def findings(raw: RawRecording, code: str, **given) -> list[Finding]:
+    _, cal = calibrate(raw, facing=0.0, strict=False, **given)
+    return [f for f in cal.diagnostics if f.code == code]
+
+
+def test_a_wearer_who_walks_in_the_pose_is_refused(raw: RawRecording) -> None:
+    with pytest.raises(
+        CalibrationError, match=r"the wearer moves at the time of the pose, 5\.7.*deg/s"
+    ):
+        calibrate(raw, at=6.0)
+    (walking,) = findings(raw, "pose-not-still", at=6.0)
+    assert walking.severity == "error" and np.degrees(walking.value) > 40
+    # About to walk off: not still, but no more than a person who shifts his weight.
+    (leaving,) = findings(raw, "pose-not-still", at=2.25)
+    assert leaving.severity == "warning" and 7 < np.degrees(leaving.value) < 34
+    calibrate(raw, at=2.25)
+
+
+@pytest.mark.parametrize("rate_hz", [30.0, 60.0, 200.0])
+@pytest.mark.parametrize("sensors", [places.SIX, ("left_wrist", "right_pocket", "head")])
+def test_noise_in_the_pose_is_not_movement(sensors: tuple[str, ...], rate_hz: float) -> None:
+    """The wobble of the realistic noise turns still sensors by 10 deg/s, after smoothing."""
+    motion = prepare(with_static_pose(walk(4.0), "n", 3.0), rate_hz, 8.0)
+    for seed in range(3):
+        raw = raw_of(motion, sensors, "realistic", seed)
+        for at in (0.3, 1.6):
+            _, cal = calibrate(raw, at=at, facing=0.0, strict=False)
+            assert not {"pose-not-still", "moved-in-pose"} & {f.code for f in cal.diagnostics}
+            assert 0.5 < cal.time[1] - cal.time[0] < 2.1 and cal.time[1] < 4.0
+        (walking,) = findings(raw, "pose-not-still", at=6.0)
+        assert walking.severity == "error"
 
 
 def test_sitting_still_is_not_taken_for_the_pose(motion: Motion) -> None:

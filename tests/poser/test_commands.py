@@ -169,6 +169,17 @@ def test_calibrate_for_people(
     assert "N-pose at" in out and "facing: hinge of the shank (to " in out
 
 
+def test_calibrate_at_a_time_of_walking(
+    folder: Path, tmp_path: Path, answer: Answer, refusal: Refusal
+) -> None:
+    words = ("calibrate", folder / "raw" / "long.npz", "-o", tmp_path / "r.npz", "--at", "5")
+    status, said = refusal(*words)
+    assert status == 1 and "long.npz: the wearer moves at the time of the pose, 4.7" in said
+    assert list(tmp_path.iterdir()) == []
+    codes = {f["code"]: f["severity"] for f in answer(*words, "--no-strict")["diagnostics"]}
+    assert codes["pose-not-still"] == "error"
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
