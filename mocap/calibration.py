@@ -239,11 +239,18 @@ def calibrate(
     window = _despite_noise(raw, find_static(raw, at))
     fused = raw if source == "file" else fusion.with_orientation(raw)
     static = average(fused, window)
-    other = pose_bones(joints, second[0], arm_angle_deg) if second else None
-    second_at = second[1] if second else None
-    cues = _cues(fused, static, window, bones, other, facing, axes, second_at, pose == "n")
+    told: list[face.Cue] = []
+    if second:
+        told, doubts = _second_pose(
+            fused, static, bones, pose_bones(joints, second[0], arm_angle_deg), second
+        )
+        findings += doubts
+    cues = _cues(fused, static, window, facing, axes, told, pose == "n")
     heading, sigma, method, said = _headings(fused, static, window, joints, cues)
     findings += said
+    if told and "second pose" not in method:
+        text = f"the second pose is not used: {method} says otherwise of where the wearer faced"
+        findings.append(Finding("warning", None, "second-pose-disagrees", text))
     findings += checks.check_result(fused, window, static, heading, sigma, pose)
     # Standing people turn by less than 5 deg/s, 17 with the realistic noise; in walking it is 50 and more.
     if not window.still and window.rate > NEVER_STILL:
@@ -357,14 +364,12 @@ def _cues(
     raw: RawRecording,
     static: Pose,
     window: Window,
-    bones: Array,
-    other_bones: Array | None,
     facing: float | None,
     axes: Mapping[str, str] | None,
-    second_at: float | None,
+    second: list[face.Cue],
     arms_hang: bool,
 ) -> list[face.Cue]:
-    """What tells the facing, the declared before the measured.
+    """What tells the facing, the declared (`second`: by a second pose) before the measured.
 
     With a common heading one declared fact is enough and the motion is left out; sensors with headings
     of their own need every cue there is.
@@ -375,11 +380,54 @@ def _cues(
         cues.append(face.Cue(first, float(np.radians(facing)), np.radians(3.0), "facing as given"))
     if axes:
         cues += face.known_axes(axes, raw, static)
-    if second_at is not None and other_bones is not None:
-        other = average(raw, find_static(raw, second_at))
-        cues += face.second_pose(raw, static, other, bones, other_bones)
+    cues += second
     if not cues and raw.facing_rad is not None:
         cues.append(face.Cue(first, raw.facing_rad, np.radians(5.0), "facing as the file has it"))
     if not cues or not raw.common_heading:
         cues += face.from_motion(raw, static, window, arms_hang)
     return cues
+
+
+def _second_pose(
+    raw: RawRecording,
+    static: Pose,
+    bones: Array,
+    other_bones: Array,
+    second: tuple[PoseName, float],
+) -> tuple[list[face.Cue], list[Finding]]:
+    """Cues from another static pose, and a warning where the wearer was not in it.
+
+    other_bones (S,3,3): of that pose. Raises CalibrationError where its time lies outside the recording.
+    """
+    name, at = second
+    window = _despite_noise(raw, find_static(raw, at))
+    other = average(raw, window)
+    cues = face.second_pose(raw, static, other, bones, other_bones)
+    a, b = window.seconds(raw)
+    what = f"the second pose ({name.upper()}, {a:.2f} to {b:.2f} s)"
+    doubts = []
+    if not window.still:
+        text = f"{what}: the wearer moves then ({np.degrees(window.rate):.0f} deg/s)"
+        doubts.append(Finding("warning", None, "second-pose-not-still", text, window.rate))
+    expected = _tilt_deg(bones, other_bones)
+    seen = _tilt_deg(static.R_world_sensor, other.R_world_sensor)
+    off = np.where(expected > 30, np.abs(seen - expected), 0.0)
+    worst = int(off.argmax())
+    if not (expected > 30).any():
+        text = (
+            f"{what} is not used: no bone with a sensor tilts by more than 30 deg between the poses"
+        )
+        doubts.append(Finding("warning", None, "second-pose", text))
+    elif off[worst] > 30 or not cues:
+        text = (
+            f"{what} {'does not fit' if cues else 'is not used'}: {raw.sensors[worst]} tilts by "
+            f"{seen[worst]:.0f} deg between the poses, {expected[worst]:.0f} expected"
+        )
+        doubts.append(Finding("warning", None, "second-pose", text, float(off[worst])))
+    return cues, doubts
+
+
+def _tilt_deg(R_first: Array, R_second: Array) -> Array:
+    """Angle (S,) in deg by which up differs between two rotations (S,3,3) to the world."""
+    cos = np.einsum("si,si->s", R_first[:, 1], R_second[:, 1])
+    return np.asarray(np.degrees(np.arccos(np.clip(cos, -1, 1))))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import pytest
 
 from mocap import orientation as ori
 from mocap import sensors as places
-from mocap.calibration import Calibration, calibrate, pose_bones
+from mocap.calibration import Calibration, PoseName, calibrate, pose_bones
 from mocap.errors import CalibrationError, SensorError
 from mocap.facing import wrap
 from mocap.findings import Finding
@@ -199,6 +200,35 @@ def test_second_pose_tells_the_facing(own: bool) -> None:
     assert error_deg(rec, motion)[:, :4].max() < bound
     t_first, _ = calibrate(raw, pose="t", at=4.0, second=("n", 1.0))
     assert error_deg(t_first, motion)[:, :4].max() < bound
+
+
+@pytest.mark.parametrize(
+    ("sensors", "second", "code", "said"),
+    [
+        (ARMS, ("t", 1.5), "second-pose", r"is not used: \w+ tilts by 0 deg .*, 80 expected"),
+        (ARMS, ("n", 4.0), "second-pose", "is not used: no bone with a sensor tilts by more than 30"),
+        (("pelvis", "head"), ("t", 4.0), "second-pose", r"\(T, 3.00 to 5.\d+ s\) is not used: no bone"),
+        (ARMS, ("t", 2.45), "second-pose", "does not fit: left_forearm tilts by 35 deg"),
+        (ARMS, ("t", 2.45), "second-pose-not-still", r"the wearer moves then \(\d+ deg/s\)"),
+        (ARMS, ("t", 4.0), None, ""),
+    ],
+)  # fmt: skip
+def test_a_second_pose_that_fails_is_told(
+    sensors: tuple[str, ...], second: tuple[PoseName, float], code: str | None, said: str
+) -> None:
+    _, cal = calibrate(raw_of(n_to_t(), sensors), at=1.0, second=second)
+    found = {f.code: f for f in cal.diagnostics if f.code.startswith("second-pose")}
+    if code is None:
+        assert not found and "second pose" in cal.method
+    else:
+        assert found[code].severity == "warning" and re.search(said, found[code].sentence)
+
+
+def test_a_second_pose_that_the_facing_contradicts_is_told() -> None:
+    raw = raw_of(n_to_t(), ("left_upper_arm", "pelvis"))
+    _, cal = calibrate(raw, at=1.0, second=("t", 4.0), facing=100.0)
+    (said,) = [f for f in cal.diagnostics if f.code == "second-pose-disagrees"]
+    assert "facing as given says otherwise" in said.sentence
 
 
 def test_pose_bones_are_the_design_s() -> None:
