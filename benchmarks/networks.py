@@ -26,8 +26,9 @@ from hybrid import TrackerSettings
 from hybrid.refinement import Refinement
 from learned import checkpoint, online, runtime
 from learned import kinematics as kin
-from learned.features import COMBINATIONS, dip_pose, imuposer_input, imuposer_pose
+from learned.features import COMBINATIONS, imuposer_input
 from learned.models import Dip, Imuposer, Model, build, for_network
+from learned.reach import pose_of
 from learned.refine import CHAINS, AdamSettings, refine
 from learned.validation import cut, worn_in_turn
 from mocap import Motion, Recording, dataset, metrics, orientation, sensors, synthesis
@@ -62,23 +63,18 @@ def ways(model: Model) -> dict[str, tuple[runtime.Runtime, bool]]:
     """Name -> runtime, and whether its rows are kept from frame to frame."""
     found: dict[str, tuple[runtime.Runtime, bool]] = {
         "plain forward": (runtime.Plain(model), False),
-        "pruned, exact": (runtime.prepare(model, reach=1000), True),
-        "pruned, layer 2 from 40": (runtime.prepare(model), True),
+        "pruned, exact": (runtime.prepare(model, reach=runtime.EVERY), True),
+        "pruned, layer 2 from 80": (runtime.prepare(model, reach=80), True),
+        "the same, layer 2 from 40": (runtime.prepare(model, reach=40), True),
         "the same, layer 2 from 20": (runtime.prepare(model, reach=20), True),
-        "the same, layer 2 from 10": (runtime.prepare(model, reach=10), True),
-        "pruned, int8": (runtime.prepare(model, "int8", reach=1000), True),
-        "layer 2 from 40, int8 (default)": (runtime.prepare(model, "int8"), True),
+        "pruned, int8": (runtime.prepare(model, "int8", reach=runtime.EVERY), True),
+        f"int8, layer 2 from {model.reach or 'all'} (default)": (
+            runtime.prepare(model, "int8"),
+            True,
+        ),
     }
     quantised = torch.ao.quantization.quantize_dynamic(model, {torch.nn.LSTM}, dtype=torch.qint8)
     return found | {"plain forward, dynamic int8": (runtime.Plain(quantised), False)}
-
-
-def pose_of(model: Model, way: runtime.Runtime, features: Tensor) -> Tensor:
-    """Global rotations (24,3,3), the pelvis of DIP upright."""
-    if isinstance(model, Dip):
-        out = runtime.gaussian(model, way, features).pose
-        return kin.rotations(dip_pose(model.output_scaler.unscale(out), torch.eye(3)))
-    return kin.rotations(imuposer_pose(runtime.pose_numbers(model, way, features)))
 
 
 @torch.inference_mode()

@@ -102,6 +102,17 @@ def _check(config: Config) -> None:
         raise ValueError(f"use_acc is {config.use_acc!r}, expected true or false")
 
 
+def _reach(path: Path) -> int | None:
+    """`online.reach_frames` of the description (`learned.reach`), where it has one."""
+    online = describe(path).get("online", {})
+    reach = online.get("reach_frames") if isinstance(online, dict) else online
+    if reach is not None and (not isinstance(reach, int) or isinstance(reach, bool) or reach < 1):
+        raise CheckpointError(
+            f"{path.with_suffix('.json')}: online.reach_frames must be a number of frames, got {reach!r}"
+        )
+    return reach
+
+
 def load(path: Path, network: str | None = None) -> Model:
     """The model, ready for inference, single precision.
 
@@ -133,5 +144,6 @@ def load(path: Path, network: str | None = None) -> Model:
         if not torch.isfinite(tensors[name]).all():
             raise CheckpointError(f"{path}: tensor {name} holds values that are not finite")
     model.load_state_dict({k: v.float() for k, v in tensors.items()})
+    model.reach = _reach(path)
     model.requires_grad_(False)
     return model.eval()

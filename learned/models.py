@@ -89,6 +89,8 @@ class Dip(nn.Module):
     def __init__(self, config: Config) -> None:
         super().__init__()
         self.config = config
+        # Frames of layer 2 that the runtime keeps, from the description of the weights; None: all of them.
+        self.reach: int | None = None
         sensors = 5 if config.normalisation == "root" else 6
         self.n_orientation = 9 * sensors
         inputs = self.n_orientation + (3 * sensors if config.use_acc else 0)
@@ -176,6 +178,7 @@ class Imuposer(nn.Module):
     def __init__(self, config: Config) -> None:
         super().__init__()
         self.config = config
+        self.reach: int | None = None  # as of Dip
         self.net = IMUPoser(hidden=config.hidden, dropout=config.dropout)
         count = len(features.COMBINATIONS)
         self.register_buffer("deviation_rad", torch.full((count, 24, 3), 0.3))

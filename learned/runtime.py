@@ -6,9 +6,9 @@ it; the heads only there. What depends on nothing but frame t (the dense layer, 
 float32 the first layer's input product) the caller keeps from window to window (`rows`). Both are exact. The
 recurrent states are not kept: each window starts from zero, as in training.
 
-Layer 1 remembers seconds, layer 2 less: `REACH` frames from `emit` its states hardly matter any more
-(`benchmarks/networks.py` measures it). Layer 2 therefore begins there, and layer 1's backward direction,
-which only layer 2 reads, ends there.
+Layer 1 remembers seconds, layer 2 often less: some frames from `emit` its states hardly matter any more. How
+many is measured with the weights (`learned.reach`); layer 2 begins there, and layer 1's backward direction,
+which only layer 2 reads, ends there. Without a measurement the whole window counts.
 
 A frame waits for the weights to be read from memory. In "int8" they are a quarter: torch's dynamic
 quantisation, one scale per matrix, inputs and states quantised as they come (7 bits, so that sums of products
@@ -33,7 +33,7 @@ from learned.models import Dip, Imuposer, Model
 from learned.networks.dip import BiRNN, Gaussian
 
 Precision = Literal["float32", "int8"]
-REACH = 40  # frames of layer 2 before and after the emitted one
+EVERY = 1_000_000  # frames of layer 2 before and after the emitted one: all that there are
 
 
 class Runtime(Protocol):
@@ -121,7 +121,7 @@ class TwoLayers:
         dense: nn.Linear,
         lstm: nn.LSTM,
         precision: Precision = "float32",
-        reach: int = REACH,
+        reach: int = EVERY,
     ) -> None:
         self.reach = reach
         sides = ("", "_reverse") if lstm.bidirectional else ("",)
@@ -194,8 +194,12 @@ class Plain:
         return out[0, emit]
 
 
-def prepare(model: Model, precision: Precision = "float32", reach: int = REACH) -> Runtime:
-    """The runtime of a model: `TwoLayers` for the recurrent networks, `Plain` for the others."""
+def prepare(model: Model, precision: Precision = "float32", reach: int | None = None) -> Runtime:
+    """The runtime of a model: `TwoLayers` for the recurrent networks, `Plain` for the others.
+
+    reach: frames of layer 2 on either side of the emitted one; default: what was measured for these weights.
+    """
+    reach = reach or model.reach or EVERY
     if isinstance(model, Imuposer) or isinstance(model.net, BiRNN):
         return TwoLayers(model.net.dense, model.net.lstm, precision, reach)  # type: ignore[arg-type]
     return Plain(model)

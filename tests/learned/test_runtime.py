@@ -28,7 +28,7 @@ def test_unlimited_it_is_exact(architecture: str, frames: int, emit: int) -> Non
     network = "imuposer" if architecture == "imuposer" else "dip"
     net = model(network, architecture=architecture)
     x = torch.randn(frames, 60)
-    runtime = prepare(net, reach=1000)
+    runtime = prepare(net)
     assert not isinstance(runtime, Plain)
     features = runtime.features(runtime.rows(x), emit)
     if isinstance(net, Imuposer):
