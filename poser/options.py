@@ -120,7 +120,9 @@ def add_reading(parser: ArgumentParser, rate_too: bool = True) -> None:
     group.add_argument("--height", type=stature, metavar="M", help="the body's stature in m")
     group.add_argument("--scale", type=positive, metavar="X", help="m per length unit of the file")
     if rate_too:
-        group.add_argument("--rate", type=rate, metavar="HZ", help="frame rate of the file")
+        group.add_argument(
+            "--rate", type=rate, metavar="HZ", help="frame rate of the samples in the file"
+        )
     group.add_argument(
         "--units", type=units, default=frozenset(), metavar="U,U", help=", ".join(UNITS)
     )

@@ -1,21 +1,23 @@
 """From one file format to another.
 
 A motion of any known format becomes an AMASS-style .npz or a .bvh; a raw or calibrated recording
-becomes a native .npz. The output's suffix decides.
+becomes a native .npz. The output's suffix decides. --rate is for files that state none; --resample writes
+a motion at another one.
 """
 
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mocap.errors import FormatError
 from poser import files, options
-from poser.console import DONE, note, progress, say
+from poser.console import DONE, UsageError, note, progress, say
 
 if TYPE_CHECKING:
-    from mocap.formats import Content
+    from mocap.formats import Content, Document, Options
 
 HELP = "between file formats"
 
@@ -32,7 +34,10 @@ def add_arguments(parser: ArgumentParser) -> None:
 def run(args: Namespace) -> int:
     files.check_output(args.output, [args.input], (".npz", ".bvh"))
     with progress(f"converting {args.input.name}") as tell:
-        doc = files.read(args.input, options.reading(args))
+        reading = options.reading(args)
+        doc = files.read(args.input, reading)
+        if args.rate is not None:
+            _check_rate(args, reading, doc)
         for text in (*doc.assumptions, *doc.warnings):
             note(f"{args.input}: {text}")
         content = _prepared(args, doc.content)
@@ -40,6 +45,25 @@ def run(args: Namespace) -> int:
         files.write(args.output, content)
     say(f"{args.output}: {doc.kind}, {len(content)} frames at {content.rate_hz:g} Hz")
     return DONE
+
+
+def _check_rate(args: Namespace, reading: Options, doc: Document) -> None:
+    """A motion whose file states another rate would be slowed down or sped up: raises UsageError. For sensor
+    data, whose declared rate may be wrong, a note tells."""
+    try:
+        own = files.read(args.input, replace(reading, rate_hz=None))
+    except FormatError:
+        return  # none is stated
+    same = abs(own.content.rate_hz / args.rate - 1) < 1e-3  # .bvh files round the time of a frame
+    # A reader that assumes a rate says so, and that changes with what it is told.
+    if same or own.assumptions != doc.assumptions:
+        return
+    if doc.kind == "motion":
+        raise UsageError(
+            f"argument --rate: {args.input} states {own.content.rate_hz:g} Hz itself; "
+            f"--resample {args.rate:g} writes the same motion at {args.rate:g} Hz"
+        )
+    note(f"{args.input}: states {own.content.rate_hz:g} Hz, read as {args.rate:g} Hz for --rate")
 
 
 def _prepared(args: Namespace, content: Content) -> Content:

@@ -59,6 +59,31 @@ def test_convert_resamples_motions(folder: Path, tmp_path: Path) -> None:
     assert bvh.read(out, native.Options()).content.rate_hz == pytest.approx(30)
 
 
+def test_convert_rate_is_for_files_that_state_none(
+    folder: Path, tmp_path: Path, refusal: Refusal, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """--rate declares; it must not slow a motion down that states its rate."""
+    out, own = tmp_path / "out.npz", tmp_path / "own.bvh"
+    assert main(["convert", str(folder / "walk.npz"), str(own)]) == 0
+    for stated in (folder / "walk.npz", own):
+        status, said = refusal("convert", stated, out, "--rate", "30")
+        assert status == 2 and "states 60 Hz itself; --resample 30 writes" in said
+        assert not out.exists()
+        assert main(["convert", str(stated), str(out), "--rate", "60"]) == 0
+        out.unlink()
+    with np.load(folder / "walk.npz") as f:
+        np.savez(tmp_path / "bare.npz", **{k: f[k] for k in f if k != "mocap_framerate"})
+    assert main(["convert", str(tmp_path / "bare.npz"), str(out), "--rate", "30"]) == 0
+    assert amass.read_motion(out).rate_hz == 30
+    table = tmp_path / "t.csv"
+    names = ("acc_x", "acc_y", "acc_z", "gyr_x", "gyr_y", "gyr_z")
+    rows = "0,9.81,0,0,0.1,0\n0,9.8,0,0,0.2,0\n" * 150
+    table.write_text("# rate_hz: 100\n" + ",".join(f"head.{n}" for n in names) + f"\n{rows}")
+    capsys.readouterr()
+    assert main(["convert", str(table), str(out), "--rate", "50"]) == 0
+    assert "states 100 Hz, read as 50 Hz" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("source", "target", "words", "said"),
     [
