@@ -3,6 +3,6 @@
 from sip.prior import Prior
 from sip.settings import Settings
 from sip.solve import solve
-from sip.starts import cheapest
+from sip.starts import Start, cheapest
 
-__all__ = ["Prior", "Settings", "cheapest", "solve"]
+__all__ = ["Prior", "Settings", "Start", "cheapest", "solve"]

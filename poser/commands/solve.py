@@ -7,17 +7,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mocap.errors import PoserError
-from poser import files, options
+from poser import files, options, starts
 from poser.console import DONE, UsageError, emit, note, progress, say, table
 
 if TYPE_CHECKING:
-    from mocap.motion import Motion
+    import sip
     from mocap.recording import Recording
     from mocap.skeleton import Skeleton
     from mocap.solution import Solution
 
 HELP = "offline poses from a recording: SIP or SOP"
-NETWORKS = ("dip", "imuposer")
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -35,7 +34,8 @@ def add_arguments(parser: ArgumentParser) -> None:
         "--start",
         default="prior",
         metavar="prior|dip|imuposer|MOTION",
-        help="where the solver starts: the prior (default), a network's poses, or a motion file",
+        help="where the solver starts: the prior (default), a network's poses, or a motion file; of several, "
+        "separated by commas, the cheapest solution is kept",
     )
     body = parser.add_argument_group("the body (default: the neutral mean shape)")
     body.add_argument("--height", type=options.stature, metavar="M", help="stature in m")
@@ -66,8 +66,13 @@ def run(args: Namespace) -> int:
         raise UsageError("argument --betas: needs the body file they shape: --smpl FILE")
     if args.smpl and args.height:
         raise UsageError("argument --height: not with --smpl, whose betas give the size")
-    start = None if args.start in ("prior", *NETWORKS) else Path(args.start)
-    files.check_output(args.output, [args.recording, *([start] if start else [])], (".npz", ".bvh"))
+    names = starts.names(args.start)
+    if len(names) > 1 and args.self_calibrate:
+        raise UsageError(
+            "argument --start: one only with --self-calibrate, where costs do not compare"
+        )
+    given = [Path(name) for name in names if name not in starts.KNOWN]
+    files.check_output(args.output, [args.recording, *given], (".npz", ".bvh"))
     if args.plot:
         files.check_output(args.plot, [args.recording, args.output], (".png",))
     if args.uncertainty and args.output.suffix.lower() == ".bvh":
@@ -76,12 +81,11 @@ def run(args: Namespace) -> int:
     with files.about(args.recording):
         chosen = whole.select(options.sensors(args.sensors, whole.sensors))
         recording, first = cut_window(chosen, args.begin, args.end)
-    begin: Motion | None
-    if args.start in NETWORKS:
-        begin = _networks_start(args, recording)
-    else:
-        begin = None if start is None else _start(start, whole, recording, first)
-    solution = _solve(args, recording, begin)
+    body = _body(args)
+    begin = {
+        name: starts.motion(name, args.recording, whole, recording, first, body) for name in names
+    }
+    solution = _solve(args, recording, body, begin)
     extra = (
         None if solution.std_rad is None or not args.uncertainty else {"std_rad": solution.std_rad}
     )
@@ -94,7 +98,9 @@ def run(args: Namespace) -> int:
     return DONE
 
 
-def _solve(args: Namespace, recording: Recording, start: Motion | None) -> Solution:
+def _solve(
+    args: Namespace, recording: Recording, body: Skeleton, begin: dict[str, sip.Start]
+) -> Solution:
     from dataclasses import replace
 
     import sip
@@ -103,12 +109,11 @@ def _solve(args: Namespace, recording: Recording, start: Motion | None) -> Solut
     settings = sip.Settings(
         terms=args.terms,
         solver=args.solver,
-        start="prior" if start is None else start,
         self_calibration=args.self_calibrate,
         uncertainty=args.uncertainty,
     )
     with progress(f"solving {args.recording.name}") as tell, files.about(args.recording):
-        solution = sip.solve(recording, _body(args), settings, tell)
+        solution = sip.cheapest(recording, begin, body, settings, tell)
     motion = replace(on_the_floor(solution.motion), start_s=recording.start_s)
     return replace(solution, motion=motion)
 
@@ -137,36 +142,6 @@ def cut_window(
             f"{origin:g} s to {origin + recording.seconds:g} s"
         )
     return recording.slice(a, b), a
-
-
-def _networks_start(args: Namespace, recording: Recording) -> Motion:
-    """The network's poses, frame for frame: what the solver starts from."""
-    from poser import tracking
-
-    with progress(f"{args.start} on {args.recording.name}") as tell, files.about(args.recording):
-        found = tracking.track(recording, args.start, args.start, progress=tell)
-    return found.run.motion.on(_body(args))
-
-
-def _start(path: Path, whole: Recording, window: Recording, first: int) -> Motion:
-    """The motion to start from, at the recording's rate: by its time where the file states one, else of
-    the whole recording or of the window, whose first frame is `first`."""
-    from mocap.formats import native
-    from poser import clock
-
-    motion, frames = files.motion(path), len(window)
-    with files.about(path):
-        motion = motion.resampled(whole.rate_hz)
-        if native.states_start(path):
-            motion = clock.during(motion, window)
-    if len(motion) == len(whole):
-        return motion.slice(first, first + frames)
-    if len(motion) != frames:
-        raise PoserError(
-            f"{path}: {len(motion)} frames at {whole.rate_hz:g} Hz, expected as many as the "
-            f"recording has: {frames}"
-        )
-    return motion
 
 
 def record(solution: Solution) -> dict[str, Any]:
@@ -218,6 +193,13 @@ def report(args: Namespace, recording: Recording, solution: Solution) -> None:
         f"{args.output}: {len(solution.motion)} frames from {len(recording.sensors)} sensors in "
         f"{solution.seconds:.1f} s, {solution.iterations} iterations: {solution.status}"
     )
+    tried = solution.report["starts"]
+    if len(tried) > 1:
+        costs = ", ".join(f"{name} {x['cost']:.1f}" for name, x in tried.items())
+        say(
+            f"kept: the solution from {solution.report['start']}; costs from {costs}; joints apart by up to "
+            f"{solution.report['starts_apart_deg']:.1f} deg in the mean"
+        )
     if not solution.converged:
         note(f"{args.recording}: the solver stopped before it converged")
 

@@ -254,6 +254,25 @@ def test_solve_a_window_with_some_sensors_from_a_motion(
     assert list(said["sensors"]) == said["used_sensors"]
 
 
+def test_solve_keeps_the_cheapest_of_several_starts(
+    folder: Path, tmp_path: Path, answer: Answer, capsys: pytest.CaptureFixture[str]
+) -> None:
+    odd = tmp_path / "a, b.npz"  # one start, though its name holds a comma
+    odd.write_bytes((folder / "sip.npz").read_bytes())
+    words = ["solve", folder / "rec" / "walk.npz", "--solver", "banded", "--to", "1.5"]
+    said = answer(*words, "-o", tmp_path / "m.npz", "--start", f"prior,dip,{folder / 'sip.npz'}")
+    tried = said["report"]["starts"]
+    assert list(tried) == ["prior", "dip", str(folder / "sip.npz")]
+    assert said["total_cost"] == min(x["cost"] for x in tried.values())
+    assert said["total_cost"] == tried[said["report"]["start"]]["cost"]
+    capsys.readouterr()
+    line = [*words, "-o", tmp_path / "n.npz", "--start", odd]
+    assert main([str(w) for w in line]) == 0
+    assert "kept" not in capsys.readouterr().out
+    assert main([str(w) for w in [*line[:-1], "prior,dip", "--self-calibrate"]]) == 2
+    assert "self-calibrate" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("words", "status", "said"),
     [
@@ -261,6 +280,7 @@ def test_solve_a_window_with_some_sensors_from_a_motion(
         (["--from", "7"], 1, "it runs from 0 s to 3 s"),
         (["--sensors", "left_foot"], 1, "not in the recording"),
         (["--start", "absent.npz"], 1, "absent.npz: no such file"),
+        (["--start", "prior,,dip"], 2, "empty name"),
         (["--solver", "newton"], 2, "invalid choice"),
     ],
 )
