@@ -100,6 +100,16 @@ def starts(results: list[dict[str, object]], noise: str) -> str:
             f"{np.median(cost):.4f}, lower by 1 % or more in {(cost < 0.99).sum()}, higher in "
             f"{(cost > 1.01).sum()}; iterations {steps[0]:.1f} against {steps[1]:.1f}"
         )
+    both = {
+        c: (by["sip", c], r) for (m, c), r in by.items() if m == "sip from dip" and ("sip", c) in by
+    }
+    if both:
+        kept = [min(pair, key=lambda r: r["cost"]) for pair in both.values()]  # type: ignore[arg-type,return-value]
+        means = {k: np.mean([float(r[k]) for r in kept]) for k in ("sip_deg", "position_cm")}  # type: ignore[arg-type]
+        out.append(
+            f"the cheaper of the default's and DIP's: sip_deg {means['sip_deg']:.2f}, "
+            f"position_cm {means['position_cm']:.2f}"
+        )
     return "\n".join(out)
 
 
