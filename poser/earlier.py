@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from poser.comparison import METHODS
+from poser.console import UsageError
 from poser.results import NO_SKILL, SCHEMA
 
 RECORD = "results.json"
@@ -29,6 +30,19 @@ def files_in(folder: Path, subfolders: Iterable[Path]) -> list[Path]:
         found += [p for p in listed if p.resolve().is_relative_to(inside)]
         found += [folder / name for name in PAGE]
     return sorted({p for p in found if p.is_file()})
+
+
+def check_own(folder: Path, found: Iterable[Path]) -> None:
+    """A folder is written to where it is empty, or holds an earlier comparison (`found`: `files_in`).
+
+    Raises UsageError for one that holds something else. Hidden files do not count.
+    """
+    others = any(not p.name.startswith(".") for p in folder.iterdir())
+    if others and not list(found) and _listed(folder) is None:
+        raise UsageError(
+            f"{folder}: holds files and no comparison (no {RECORD} of one); choose a new or empty folder "
+            f"with -o"
+        )
 
 
 def remove(found: Iterable[Path], folder: Path) -> None:

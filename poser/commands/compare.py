@@ -47,7 +47,12 @@ def add_arguments(parser: ArgumentParser) -> None:
         "recordings", type=Path, nargs="+", metavar="REC", help="calibrated recordings"
     )
     parser.add_argument(
-        "-o", "--output", type=Path, required=True, metavar="DIR", help="made where it is missing"
+        "-o",
+        "--output",
+        type=Path,
+        required=True,
+        metavar="DIR",
+        help="a new or empty folder, or that of an earlier comparison, which is replaced",
     )
     parser.add_argument("--methods", type=_methods, metavar="M,M", help="default: all")
     parser.add_argument(
@@ -84,6 +89,7 @@ def run(args: Namespace) -> int:
     old = earlier.files_in(args.output, where.values())
     written = [folder / f"{n}.npz" for folder in where.values() for n in earlier.MOTIONS]
     _check_inputs(args, [*written, *old])
+    earlier.check_own(args.output, old)
 
     def keep(compared: Compared) -> None:
         # Only now: a run of which nothing comes leaves the earlier one as it was.

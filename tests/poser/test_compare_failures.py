@@ -110,10 +110,28 @@ def test_one_recording_does_not_cost_another_its_methods(place: Path, tmp_path: 
 
 
 @pytest.mark.usefixtures("instant")
+def test_a_folder_of_other_things_is_not_written_to(
+    place: Path, tmp_path: Path, refusal: Callable[..., tuple[int, str]]
+) -> None:
+    words = ("compare", place / "walk.npz", "-o", tmp_path, "--methods", "sop")
+    for name, text in (("thesis.txt", "mine"), ("results.json", '{"schema": "mine"}')):
+        (tmp_path / name).write_text(text)
+        status, said = refusal(*words)
+        assert status == 2 and f"{tmp_path}: holds files and no comparison" in said
+        assert contents(tmp_path) == {name}
+        (tmp_path / name).unlink()
+    (tmp_path / ".hidden").write_text("of a file manager")
+    assert main([str(w) for w in words]) == 0
+    (tmp_path / "thesis.txt").write_text("mine")
+    assert main([str(w) for w in words]) == 0  # its own folder, whatever else is in it
+    assert (tmp_path / "thesis.txt").read_text() == "mine"
+
+
+@pytest.mark.usefixtures("instant")
 def test_where_nothing_can_be_measured_it_is_an_error(
     place: Path, tmp_path: Path, refusal: Callable[..., tuple[int, str]]
 ) -> None:
-    before = "an earlier result"
+    before = json.dumps({"schema": results.SCHEMA, "recordings": []})
     (tmp_path / "results.json").write_text(before)
     words = ("compare", place / "legs.npz", "-o", tmp_path, "--methods", "sip,dip")
     status, said = refusal(*words)
