@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import pty
+import re
+import select
 import signal
 import subprocess
 import sys
@@ -97,30 +100,72 @@ def test_a_reader_that_goes_away(folder: Path) -> None:
     assert done.stderr == ""
 
 
-@pytest.mark.skipif(os.name != "posix", reason="signals")
-@pytest.mark.parametrize("solver", ["ipopt-cold", "banded"])
-def test_ctrl_c_leaves_no_half_file(tmp_path: Path, solver: str) -> None:
-    recording = tmp_path / "rec.npz"
-    write_recording(recording, synthesis.recording(motions.builtin(seconds=45.0)))
-    out = tmp_path / "out"
-    out.mkdir()
-    line = [sys.executable, "-m", "poser", "solve", str(recording)]
-    line += ["-o", str(out / "m.npz"), "--solver", solver]
-    for wait_s in (
-        2.5,
-        6.0,
-        12.0,
-    ):  # on a busy machine Python itself is still starting after the first
-        process = subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        time.sleep(wait_s)
+def interrupted(
+    sign: str, line: list[str], env: dict[str, str], patience_s: float = 200.0
+) -> tuple[int, str, str]:
+    """Runs a command on a terminal, sends Ctrl-C's signal once its progress shows `sign`.
+
+    Returns exit status, stdout, and what stood on the terminal after the signal, without control codes.
+    Fails where the command ends by itself, or shows no such sign in `patience_s`.
+    """
+    ours, theirs = pty.openpty()
+    process = subprocess.Popen(line, stdout=subprocess.PIPE, stderr=theirs, text=True, env=env)
+    os.close(theirs)
+    try:
+        shown, deadline = "", time.monotonic() + patience_s
+        while sign not in shown:
+            assert time.monotonic() < deadline, f"no sign of {sign!r}: {shown[-500:]!r}"
+            more = _terminal(ours)
+            assert more is not None, f"ended before {sign!r}: {shown[-500:]!r}"
+            shown += more
         process.send_signal(signal.SIGINT)
-        stdout, stderr = process.communicate(timeout=60)
-        if process.returncode != -signal.SIGINT:
-            break
-    assert process.returncode == 130
-    assert stdout == ""
-    assert stderr.splitlines()[-1] == "poser solve: interrupted"
-    assert list(out.iterdir()) == []
+        shown, deadline = "", time.monotonic() + patience_s
+        while (more := _terminal(ours)) is not None:
+            assert time.monotonic() < deadline, f"went on after the signal: {shown[-500:]!r}"
+            shown += more
+        stdout, _ = process.communicate(timeout=patience_s)
+    finally:
+        process.kill()
+        os.close(ours)
+    return process.returncode, stdout, re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", shown)
+
+
+def _terminal(handle: int) -> str | None:
+    """What has come within a second, or None where nobody writes any more."""
+    if not select.select([handle], [], [], 1.0)[0]:
+        return ""
+    try:
+        return os.read(handle, 1 << 16).decode(errors="replace") or None
+    except OSError:  # Linux says so with EIO
+        return None
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals and terminals")
+@pytest.mark.parametrize(
+    ("solver", "sign"),
+    [
+        (None, "banded iteration"),
+        (None, "IPOPT finish"),
+        ("ipopt-cold", "IPOPT iteration"),
+        ("banded", "banded iteration"),
+    ],
+)
+def test_ctrl_c_leaves_no_half_file(tmp_path: Path, solver: str | None, sign: str) -> None:
+    """In each way of solving; in the default one in both solvers."""
+    recording, out, temporary = tmp_path / "rec.npz", tmp_path / "out", tmp_path / "tmp"
+    write_recording(recording, synthesis.recording(motions.builtin(seconds=22.0)))
+    out.mkdir()
+    temporary.mkdir()
+    line = [sys.executable, "-m", "poser", "solve", str(recording), "-o", str(out / "m.npz")]
+    line += ["--solver", solver] if solver else []
+    env = os.environ | {"COLUMNS": "160", "TERM": "xterm", "TMPDIR": str(temporary)}
+    status, stdout, shown = interrupted(sign, line, env)
+    assert (status, stdout) == (130, "")
+    said = [row.strip() for row in re.split(r"[\r\n]+", shown) if "poser" in row]
+    assert said == ["poser solve: interrupted"]
+    assert shown.rstrip().endswith("poser solve: interrupted")
+    assert "Traceback" not in shown
+    assert list(out.iterdir()) == [] and list(temporary.iterdir()) == []
 
 
 def test_an_interrupted_write_leaves_the_old_file(
