@@ -130,6 +130,14 @@ def read_by(job: Job, name: str) -> tuple[str, ...]:
     return tuple(found.values())
 
 
+def read_by_any(job: Job) -> tuple[str, ...]:
+    """The sensors that the methods and the reference read, in the recording's order."""
+    every = job.recording.sensors
+    why = obstacles(job)
+    read = {n for m in job.methods if m not in why for n in read_by(job, m)}
+    return every if job.reference == "sip-all" else tuple(n for n in every if n in read)
+
+
 def six_of(recording: Recording) -> tuple[str, ...]:
     """The six sensors of SIP and DIP where the recording has them, else all it has."""
     if all(n in recording.sensors for n in places.SIX):

@@ -67,9 +67,35 @@ def motion(path: Path, options: Options | None = None, quiet: bool = False) -> M
     return _expect(path, "motion", options, quiet)  # type: ignore[return-value]
 
 
-def recording(path: Path, options: Options | None = None) -> Recording:
-    """The calibrated recording in a file; raises FormatError where it holds something else."""
-    return _expect(path, "recording", options)  # type: ignore[return-value]
+def recording(path: Path, options: Options | None = None, gaps: bool = True) -> Recording:
+    """The calibrated recording in a file; raises FormatError where it holds something else.
+
+    gaps: note samples that are missing; False where `note_gaps` will, of the part that is used.
+    """
+    return _expect(path, "recording", options, gaps=gaps)  # type: ignore[return-value]
+
+
+def missing(recording: Recording) -> list[str]:
+    """The sentences of the readers about samples that are missing, in whole or in part."""
+    from mocap.formats._checks import gap_report, half_report
+
+    names = recording.sensors
+    half = recording.valid & ~recording.acc_valid & recording.acc_valid.any(axis=0)
+    half[[0, -1]] = False  # a second difference has no value at either end
+    return [
+        *gap_report(recording.valid, names),
+        *half_report(recording.valid & ~recording.ori_valid, names, "orientation"),
+        *half_report(half, names, "acceleration"),
+    ]
+
+
+def note_gaps(path: Path, used: Recording, whole: Recording) -> None:
+    """Note the samples that are missing in what is used of a recording."""
+    from poser.clock import words
+
+    where = f"{path}, {words(used)}" if len(used) < len(whole) else str(path)
+    for text in missing(used):
+        note(f"{where}: {text}")
 
 
 def raw(path: Path, options: Options | None = None) -> RawRecording:
@@ -77,8 +103,11 @@ def raw(path: Path, options: Options | None = None) -> RawRecording:
     return _expect(path, "raw", options)  # type: ignore[return-value]
 
 
-def _expect(path: Path, kind: str, options: Options | None, quiet: bool = False) -> Content:
+def _expect(
+    path: Path, kind: str, options: Options | None, quiet: bool = False, gaps: bool = True
+) -> Content:
     from mocap.motion import Motion
+    from mocap.recording import Recording
 
     doc = read(path, options)
     if doc.kind != kind:
@@ -87,8 +116,9 @@ def _expect(path: Path, kind: str, options: Options | None, quiet: bool = False)
             first = "once calibrated, " if doc.kind == "raw" else ""
             hint = f"; {first}poser compare writes the reference motion in it as reference.npz"
         raise FormatError(path, f"holds {_KINDS[doc.kind]}, expected {_KINDS[kind]}{hint}")
-    if not quiet:
-        for text in doc.warnings:
+    untold = missing(doc.content) if not gaps and isinstance(doc.content, Recording) else []
+    for text in () if quiet else doc.warnings:
+        if text not in untold:
             note(f"{path}: {text}")
     return doc.content
 

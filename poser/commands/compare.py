@@ -148,7 +148,7 @@ def _jobs(args: Namespace) -> list[Job]:
     jobs: list[Job] = []
     names = _names(args.recordings)
     for path, name in zip(args.recordings, names, strict=True):
-        recording = files.recording(path)
+        recording = files.recording(path, gaps=False)
         with files.about(path):
             sensors = options.sensors(args.sensors, recording.sensors) if args.sensors else None
             devices = options.sensors(args.devices, recording.sensors) if args.devices else None
@@ -161,18 +161,20 @@ def _jobs(args: Namespace) -> list[Job]:
                 f"{path}: holds no reference motion; give --reference MOTION, or sip-all for SIP on all "
                 f"its sensors"
             )
-        jobs.append(
-            comparison.Job(
-                name,
-                window,
-                args.methods or comparison.METHODS,
-                sensors,
-                devices,
-                truth,
-                args.solver,
-                Skeleton.default(args.height) if args.height else None,
-            )
+        job = comparison.Job(
+            name,
+            window,
+            args.methods or comparison.METHODS,
+            sensors,
+            devices,
+            truth,
+            args.solver,
+            Skeleton.default(args.height) if args.height else None,
         )
+        read = comparison.read_by_any(job)
+        if read:
+            files.note_gaps(path, window.select(read), recording)
+        jobs.append(job)
     return jobs
 
 

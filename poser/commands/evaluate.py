@@ -87,8 +87,9 @@ def _evaluate(args: Namespace) -> tuple[Metrics, dict[str, Metrics], tuple[float
 
     motion = files.motion(args.motion)
     reference, recording, timed = _reference(args, Options(smpl=args.smpl))
+    whole: Recording | None = None
     if args.recording:
-        recording = files.recording(args.recording)
+        recording = whole = files.recording(args.recording, gaps=False)
     seen = None
     if args.sensors:
         with files.about(args.recording or args.reference):
@@ -110,6 +111,8 @@ def _evaluate(args: Namespace) -> tuple[Metrics, dict[str, Metrics], tuple[float
         motion = clock.cut(motion, *when) if args.motion in stated else motion
         reference = reference and clock.cut(reference, *when)
         recording = recording and clock.cut(recording, *when)
+    if recording is not None and whole is not None:
+        files.note_gaps(args.recording, recording, whole)
     smpl = Skeleton.from_smpl_file(args.smpl) if args.smpl else None
     with files.about(args.motion):
         found = metrics.evaluate(motion, reference, recording=recording, seen=seen, smpl=smpl)

@@ -23,12 +23,23 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def run(args: Namespace) -> int:
-    facts = describe(files.read(args.file, options.reading(args)))
+    doc = files.read(args.file, options.reading(args))
+    facts = describe(doc)
     if args.json:
         emit(facts)
     else:
-        _print(args.file, facts)
+        _print(args.file, facts | {"warnings": _untold(doc)})
     return DONE
+
+
+def _untold(doc: Document) -> list[str]:
+    """The warnings beside those about missing samples, which are told sensor by sensor."""
+    from mocap.formats._checks import gap_report
+    from mocap.motion import Motion
+
+    content = doc.content
+    gaps = [] if isinstance(content, Motion) else gap_report(content.valid, content.sensors)
+    return [text for text in doc.warnings if text not in gaps]
 
 
 def describe(doc: Document) -> dict[str, Any]:

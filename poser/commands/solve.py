@@ -77,10 +77,11 @@ def run(args: Namespace) -> int:
         files.check_output(args.plot, [args.recording, args.output], (".png",))
     if args.uncertainty and args.output.suffix.lower() == ".bvh":
         raise UsageError("argument --uncertainty: a .bvh file cannot hold it, an .npz file can")
-    whole = files.recording(args.recording)
+    whole = files.recording(args.recording, gaps=False)
     with files.about(args.recording):
         chosen = whole.select(options.sensors(args.sensors, whole.sensors))
         recording, first = cut_window(chosen, args.begin, args.end)
+    files.note_gaps(args.recording, recording, whole)
     body = _body(args)
     begin = {
         name: starts.motion(name, args.recording, whole, recording, first, body) for name in names

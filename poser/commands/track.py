@@ -69,11 +69,12 @@ def run(args: Namespace) -> int:
         raise UsageError("argument --uncertainty: a .bvh file cannot hold it, an .npz file can")
     inputs = [args.recording, *([args.weights] if args.weights else [])]
     files.check_output(args.output, inputs, (".npz", ".bvh"))
-    recording = files.recording(args.recording)
+    whole = files.recording(args.recording, gaps=False)
     with files.about(args.recording):
-        recording = recording.select(options.sensors(args.sensors, recording.sensors))
+        recording = whole.select(options.sensors(args.sensors, whole.sensors))
         recording = _chosen(recording, network, args.recording, free=args.sensors is None)
         recording, _ = cut_window(recording, args.begin, args.end)
+    files.note_gaps(args.recording, recording, whole)
     tracked = _tracked(args, recording, network)
     std = tracked.run.std_rad if args.uncertainty else None
     if args.uncertainty and std is None:

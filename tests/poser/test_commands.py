@@ -39,6 +39,32 @@ def test_info_of_a_recording_counts_its_gaps(folder: Path, answer: Answer) -> No
         assert gap["longest_seconds"] == pytest.approx(gap["longest_frames"] / 60)
 
 
+def test_gaps_are_told_of_what_is_used_and_once(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = native.read_recording(folder / "rec" / "walk.npz")
+    cut = whole.select(("right_forearm", "pelvis")).slice(60, 180)
+    lost = (~cut.valid).sum(axis=0)
+    assert 0 < lost.sum() < (~whole.valid).sum()
+    by = ", ".join(f"{n} {k}" for n, k in zip(cut.sensors, lost, strict=True) if k)
+    rec, out = str(folder / "rec" / "walk.npz"), ["-o", str(tmp_path / "m.npz")]
+    part = ["--from", "1", "--to", "3", "--sensors", "right_forearm,pelvis"]
+    fast = ["--solver", "banded"]
+    for words in (
+        ["solve", rec, *out, *fast, *part],
+        ["compare", rec, "-o", str(tmp_path / "c"), "--methods", "sip", *fast, *part],
+    ):
+        capsys.readouterr()
+        assert main(words) == 0
+        told = [n for n in capsys.readouterr().err.splitlines() if "samples are missing" in n]
+        (line,) = told
+        assert f"walk.npz, 1 to 3 s: {lost.sum()} of 240 samples are missing" in line
+        assert f"({by})" in line
+    assert main(["info", rec]) == 0
+    said = capsys.readouterr().out
+    assert "gaps of pelvis" in said and "samples are missing" not in said
+
+
 def test_info_for_people(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["info", str(folder / "raw" / "long.npz")]) == 0
     out = capsys.readouterr().out
