@@ -99,7 +99,8 @@ TRAINED: dict[str, list[Variant]] = {
     ],
     "noise-gap": [
         variant("trained noisy"),
-        variant("trained clean", augmentation=replace(
+        variant("trained noisy, fixed seats", augmentation=replace(Augmentation(), seat_m=0.0)),
+        variant("trained clean, fixed seats", augmentation=replace(
             Augmentation(), noise=CLEAN, noise_scale=(0, 0), seat_m=0.0)),
     ],
 }  # fmt: skip
