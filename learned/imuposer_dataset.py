@@ -10,6 +10,7 @@ of the paper's network, 4.1), accelerations in m/s^2 without gravity, orientatio
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ import numpy as np
 import torch
 
 from mocap.errors import FormatError
-from mocap.formats import Document, Format, Options, _checks, _physics, _pickled
+from mocap.formats import Document, Format, Options, _checks, _holes, _physics, _pickled
 from mocap.motion import Motion
 from mocap.orientation import Array
 from mocap.recording import Recording
@@ -36,10 +37,11 @@ def read(path: Path, options: Options) -> Document:
     if T == 0:
         raise FormatError(path, "holds no frame", "field imu")
     R = _checks.rotations(path, imu[:, 15:].reshape(T, 5, 3, 3), FIVE, "imu")
-    acc = imu[:, :15].reshape(T, 5, 3)
+    acc = imu[:, :15].reshape(T, 5, 3) * _physics.factors(options)[0]
     rate = options.rate_hz or RATE
-    reference, doubts = _reference(path, data, rate, T, options)
-    rec = Recording(rate, FIVE, R, acc, reference=reference)
+    reference, kept, doubts = _reference(path, data, rate, T, options)
+    start_s = kept.start / rate
+    rec = Recording(rate, FIVE, R[kept], acc[kept], reference=reference, start_s=start_s)
     assumed = [
         "orientations are those of the bones, in a y-up world, accelerations m/s^2 without gravity",
     ]
@@ -89,24 +91,28 @@ def _field(path: Path, data: dict[str, Any], name: str) -> Array:
 
 def _reference(
     path: Path, data: dict[str, Any], rate: float, T: int, options: Options
-) -> tuple[Motion | None, list[str]]:
-    """The motion of `pose` and `trans`; without finite poses none, with a doubt."""
+) -> tuple[Motion | None, slice, list[str]]:
+    """The motion of `pose` and `trans` of the frames that it is known for (`_holes`), and these frames;
+    without enough finite poses none, with a doubt.
+    """
     pose = _field(path, data, "pose")
     if len(pose) != T:
         raise FormatError(path, f"is {pose.shape}, expected ({T}, 72)", "field pose")
     body = _pickled.body(options)
-    motion, doubts = _pickled.reference(path, rate, pose, body)
+    whole = _holes.poses(pose, rate)
+    pose, kept, start_s = whole.values, whole.kept, whole.kept.start / rate
+    motion, doubts = _pickled.reference(path, rate, pose, body, start_s)
+    doubts = [*whole.notes, *doubts]
     if motion is None or "trans" not in data:
-        return motion, doubts
+        return motion, kept, doubts
     trans = _field(path, data, "trans")
     if len(trans) != T:
         raise FormatError(path, f"is {trans.shape}, expected ({T}, 3)", "field trans")
-    if not np.isfinite(trans).all():
-        return motion, [
-            *doubts,
-            "some trans is not finite: the pelvis of the reference stays in place",
-        ]
-    return Motion.from_smpl(rate, pose, trans, body), doubts
+    if not np.isfinite(trans[kept]).all():
+        doubts.append("some trans is not finite: the pelvis of the reference stays in place")
+        return motion, kept, doubts
+    moving = Motion.from_smpl(rate, pose, trans[kept], body)
+    return replace(moving, start_s=start_s), kept, doubts
 
 
 def _sniff(path: Path, head: bytes) -> bool:

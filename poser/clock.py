@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from mocap.errors import PoserError
-from mocap.motion import Motion
-from mocap.recording import Recording
 
-Timed = TypeVar("Timed", Motion, Recording)
+if TYPE_CHECKING:
+    from mocap.motion import Motion
+    from mocap.recording import Recording
+
+Timed = TypeVar("Timed", "Motion", "Recording")
 
 
 def span(x: Motion | Recording) -> tuple[float, float]:

@@ -75,12 +75,25 @@ def test_it_is_registered() -> None:
     assert points["imuposer"].load() is FORMAT
 
 
-def test_poses_that_are_not_finite_leave_no_reference(tmp_path: Path) -> None:
+def test_holes_of_the_reference(tmp_path: Path) -> None:
+    """Short ones are bridged, ends are cut off with the sensors; with most poses lost only the sensors stay."""
     data = fields()
-    data["pose"][3] = float("nan")
+    data["pose"][30], data["pose"][:4] = float("nan"), float("nan")
+    document = FORMAT.read(written(tmp_path, data), Options())
+    rec = document.content
+    assert isinstance(rec, Recording) and rec.reference is not None
+    assert len(rec) == len(rec.reference) == 86
+    assert rec.start_s == rec.reference.start_s == pytest.approx(4 / 25)
+    np.testing.assert_allclose(
+        rec.reference.p_world_joint[[0, 50]], MOTION.p_world_joint[[4, 54]], atol=1e-5
+    )
+    assert any("bridged" in w for w in document.warnings)
+    data["pose"][::2] = float("nan")
+    data["pose"][20:80] = float("nan")
     document = FORMAT.read(written(tmp_path, data), Options())
     assert isinstance(document.content, Recording) and document.content.reference is None
-    assert "1 of 90 poses are not finite: no reference" in document.warnings
+    assert len(document.content) == 90
+    assert any("no reference" in w for w in document.warnings)
 
 
 def _with(**changes: object) -> Callable[[Path], Path]:
