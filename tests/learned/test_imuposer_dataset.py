@@ -76,7 +76,7 @@ def test_it_is_registered() -> None:
 
 
 def test_holes_of_the_reference(tmp_path: Path) -> None:
-    """Short ones are bridged, ends are cut off with the sensors; with most poses lost only the sensors stay."""
+    """Short ones are bridged, ends cut off with the sensors; with most poses lost the sensors stay alone."""
     data = fields()
     data["pose"][30], data["pose"][:4] = float("nan"), float("nan")
     document = FORMAT.read(written(tmp_path, data), Options())
