@@ -52,9 +52,10 @@ def page(
 shoulders; <em>angular</em>: 24 joints, root, wrists, hands, ankles and feet masked; <em>position</em>: roots
 aligned, masked; <em>global</em>: 24 joints, nothing masked; <em>instr.</em>: bones that carry a sensor that
 the method saw; <em>left out</em>: bones whose sensors it did not see, against what those measured.
-<em>ms/frame</em>: an offline method's solving time over its frames; <em>p50, p99</em>: an online method's
-time for one frame; <em>latency</em>: frames that it looks ahead. Mean pose and nearest pose need no skill: a
-method has to beat both clearly.</p>
+<em>ms/frame</em>: an offline method's solving time over its frames, an online method's mean time for one
+frame of the recording; <em>p50, p99</em>: what half and 99 % of these frames take at most (a network that
+runs slower than the recording is not run in all of them); <em>latency</em>: frames that it looks ahead. Mean
+pose and nearest pose need no skill: a method has to beat both clearly.</p>
 {_failures(failures)}
 <h2>Side by side</h2>
 {player.section(recordings)}

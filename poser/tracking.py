@@ -18,20 +18,23 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Tracked:
-    """What a method made of a recording, and the sensors that it read."""
+    """What a method made of a recording, the sensors that it read, and the rate its network runs at."""
 
     run: Replay
     method: str
     network: str
     look_ahead_frames: int
     sensors: tuple[str, ...]
+    network_hz: float
 
     def record(self) -> dict[str, Any]:
-        """What `track --json` and results.json say of it. notes: fallbacks by reason."""
+        """What `track --json` and results.json say of it. notes: fallbacks by reason. frame_ms: of each frame
+        of the recording, also of those in which a slower network is not run."""
         ms = 1e3 * self.run.frame_s
         return {
             "method": self.method,
             "network": self.network,
+            "network_hz": self.network_hz,
             "frames": len(self.run.motion),
             "rate_hz": self.run.motion.rate_hz,
             "frame_ms_p50": float(np.percentile(ms, 50)),
@@ -58,6 +61,7 @@ def track(
 
     skeleton: the wearer's body. Raises PoserError where the recording's sensors do not serve the method.
     """
+    from learned.models import RATES
     from mocap.estimator import replay
     from poser.estimators import make
 
@@ -68,4 +72,5 @@ def track(
     )  # fmt: skip
     run = replay(estimator, recording, lambda share: progress(share, method), skeleton)
     run = replace(run, motion=replace(run.motion, start_s=recording.start_s))
-    return Tracked(run, method, network, estimator.look_ahead_frames, estimator.sensors)
+    ahead, names = estimator.look_ahead_frames, estimator.sensors
+    return Tracked(run, method, network, ahead, names, RATES[network])

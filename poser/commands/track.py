@@ -76,6 +76,11 @@ def run(args: Namespace) -> int:
         recording, _ = cut_window(recording, args.begin, args.end)
     files.note_gaps(args.recording, recording, whole)
     tracked = _tracked(args, recording, network)
+    if len(recording) <= tracked.look_ahead_frames:
+        note(
+            f"{args.recording}: has {len(recording)} frames, and {args.method} looks "
+            f"{tracked.look_ahead_frames} ahead: its poses rest on hardly any motion"
+        )
     std = tracked.run.std_rad if args.uncertainty else None
     if args.uncertainty and std is None:
         note(f"{args.output}: {args.method} states no uncertainty")
@@ -121,8 +126,10 @@ def _report(args: Namespace, tracked: Tracked) -> None:
         return
     for text, count in record["notes"].items():
         say(f"fallback: {text}: {count}")
+    rate, network_hz = record["rate_hz"], tracked.network_hz
+    other = "" if abs(rate / network_hz - 1) < 1e-6 else f"; the network runs at {network_hz:g} Hz"
     say(
         f"{args.output}: {record['frames']} frames by {args.method} from {len(tracked.sensors)} "
-        f"sensors; {record['frame_ms_p50']:.1f} ms a frame (99 %: {record['frame_ms_p99']:.1f}), "
-        f"{tracked.look_ahead_frames} frames of look-ahead"
+        f"sensors; {record['frame_ms_p50']:.1f} ms per sample at {rate:g} Hz "
+        f"(99 %: {record['frame_ms_p99']:.1f}{other}), {tracked.look_ahead_frames} frames of look-ahead"
     )

@@ -84,7 +84,7 @@ def summary(report: Report) -> None:
         say(f"fallback: {text}: {count}")
     for name, done in report.sinks.items():
         say(f"{name}: " + ", ".join(f"{k} {v}" for k, v in done.items()))
-    for words, latency in (("latency", report.lag), ("per frame", report.step)):
+    for words, latency in (("latency", report.lag), ("per sample", report.step)):
         p50, p99 = latency.quantile_ms(0.5), latency.quantile_ms(0.99)
         if p50 is not None and p99 is not None:
             say(f"{words}: {p50:.1f} ms in the middle, {p99:.1f} ms for 99 of 100")

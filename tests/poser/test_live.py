@@ -80,7 +80,7 @@ def test_the_answer_for_people(live: Path, capsys: pytest.CaptureFixture[str]) -
     assert main(["live", "--source", str(live), "--speed", "max"]) == 0
     said = capsys.readouterr().out
     assert "180 poses of 180 samples" in said
-    assert "per frame: " in said
+    assert "per sample: " in said
 
 
 @pytest.mark.parametrize("kind", ["udp", "osc"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -21,6 +22,7 @@ from mocap import Skeleton, sensors, synthesis
 from mocap.errors import PoserError
 from mocap.formats.native import FORMAT
 from poser import estimators, files, motions, tracking
+from poser.__main__ import main
 from poser.commands import track
 
 
@@ -84,6 +86,7 @@ def test_the_motion_has_exactly_the_recordings_frames(
     assert said["look_ahead_frames"] == late
     assert said["used_sensors"] == list(names)
     assert (said["method"], said["network"]) == (method, network)
+    assert said["network_hz"] == {"dip": 60.0, "imuposer": 25.0}[network]
     assert 0 < said["frame_ms_p50"] <= said["frame_ms_p99"]
     assert said["fallbacks"] == sum(said["notes"].values()) < len(recording)
     if method == "dip":  # the pelvis is the sensor's, frame for frame
@@ -91,6 +94,32 @@ def test_the_motion_has_exactly_the_recordings_frames(
         ok = recording.select(("pelvis",)).valid[:, 0]
         off = np.abs(motion.R_parent_joint[:, 0] - R)[ok].max()
         assert off < (1e-5 if recording.rate_hz == 60 else 0.05)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("six", r"ms per sample at 60 Hz \(99 %: [0-9.]+\), 5 frames"),
+        ("suit", r"ms per sample at 50 Hz \(99 %: [0-9.]+; the network runs at 60 Hz\), 6 frames"),
+    ],
+)
+def test_times_are_told_of_the_recordings_samples(
+    name: str, said: str, place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["--method", "dip", "--weights", str(place / "dip.safetensors")]
+    assert main(["track", str(place / f"{name}.npz"), "-o", str(tmp_path / "o.npz"), *words]) == 0
+    assert re.search(said, capsys.readouterr().out)
+
+
+def test_fewer_frames_than_the_look_ahead_are_told(
+    place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["track", str(place / "six.npz"), "-o", str(tmp_path / "o.npz"), "--method", "dip"]
+    for frames, told in ((6, False), (5, True), (1, True)):
+        end = ["--weights", str(place / "dip.safetensors"), "--to", str(1 + frames / 60)]
+        assert main([*words, *end]) == 0
+        said = f"has {frames} frames, and dip looks 5 ahead" in capsys.readouterr().err
+        assert said == told and len(files.motion(tmp_path / "o.npz")) == frames
 
 
 REFUSED = [
