@@ -23,6 +23,21 @@ _KINDS = {
     "recording": "a calibrated recording",
     "raw": "a raw recording",
 }
+_SIGNS = {
+    "native": "poser's recordings (field schema)",
+    "amass": "AMASS motions (field poses)",
+    "dip": "DIP-IMU",
+    "bvh": "BVH (begins with HIERARCHY)",
+    "asfamc": "ASF and AMC text",
+    "totalcapture": "TotalCapture",
+    "qmt": "qmt's full-body example (MATLAB 5.0)",
+    "opensense": "OpenSense tables (DataType in the header)",
+    "xsens_mtw": "Xsens MT Manager exports (tab-separated columns PacketCounter, Acc_X, ...)",
+    "mvnx": "Xsens MVNX",
+    "csv": "tables with columns such as pelvis.acc_x (docs/conventions.md)",
+    "imuposer": "IMUPoser's dataset",
+}
+"""What tells a file of a format, for whoever has another."""
 _HINTS = {
     ("raw", "recording"): "; poser calibrate makes the one from the other",
     ("recording", "raw"): "; it needs no calibration",
@@ -40,6 +55,8 @@ def read(path: Path, options: Options | None = None) -> Document:
 
     if path.is_dir():
         _check_folder(path)
+    else:
+        _check_like(path)
     doc = formats.read(path, options)
     names = options.mapping if options is not None else None
     raw = doc.content
@@ -47,6 +64,22 @@ def read(path: Path, options: Options | None = None) -> Document:
         with about(path):
             return replace(doc, content=raw.renamed(names))
     return doc
+
+
+def _check_like(path: Path) -> None:
+    """Raises FormatError for a file that is like none of the formats of its suffix, and names these."""
+    from mocap import formats
+
+    try:
+        with path.open("rb") as f:
+            head = f.read(4096)
+    except OSError:
+        return  # the reader says why it cannot be read
+    suffix = path.suffix.lower()
+    tried = [f for f in formats.registry() if suffix in f.suffixes]
+    if head and tried and not any(f.sniff(path, head) for f in tried):
+        known = "; ".join(_SIGNS.get(f.name, f.name) for f in tried)
+        raise FormatError(path, f"is none of the {suffix} files that are read: {known}")
 
 
 def _check_folder(path: Path) -> None:

@@ -84,6 +84,17 @@ def file(text: str) -> Path:
     return path
 
 
+def weights(text: str) -> Path:
+    """The path of a network's weights, by its suffix."""
+    path = file(text)
+    if path.suffix.lower() != ".safetensors":
+        raise ArgumentTypeError(
+            f"{text!r} is no .safetensors file: weights are NAME.safetensors with NAME.json beside it, "
+            f"as poser train --export writes them"
+        )
+    return path
+
+
 def mapping(text: str) -> dict[str, str] | Path:
     """`name=place,...`, or a file that holds them."""
     if "=" not in text:

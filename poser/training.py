@@ -57,7 +57,10 @@ def add_run(parser: ArgumentParser) -> None:
         help="fail where FOLDER holds no run (without this a run there goes on, else one begins)",
     )  # fmt: skip
     run.add_argument(
-        "--start", type=Path, metavar="WEIGHTS", help="begin with these weights (.safetensors)"
+        "--start",
+        type=options.weights,
+        metavar="WEIGHTS",
+        help="begin with these weights (.safetensors)",
     )
     left = parser.add_argument_group("what is left besides FOLDER")
     left.add_argument(

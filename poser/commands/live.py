@@ -131,6 +131,11 @@ def _source(args: Namespace, network: str) -> Source:
         return _network(args, kind, rest, options.sensors(args.sensors or usual))
     from poser.live.sources import Replay
 
+    if kind in ("udp", "osc") and not Path(args.source).exists():
+        raise UsageError(
+            f"argument --source: {args.source!r} lacks the port to listen on, as in {kind}:9000 "
+            f"({kind}:0.0.0.0:9000 for other machines)"
+        )
     path = Path(args.source)
     if args.devices:
         raise UsageError("argument --devices: for sensors from the network, not for a recording")

@@ -11,6 +11,7 @@ from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from mocap.errors import PoserError
 from poser import estimators, files, options
 from poser.console import DONE, UsageError, emit, note, progress, say
 
@@ -45,7 +46,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         help="dip: frames before and after the one answered for (default: 20,5; also 50,5 and 20,0)",
     )  # fmt: skip
     parser.add_argument(
-        "--weights", type=options.file, metavar="FILE", help="weights of your own (.safetensors)"
+        "--weights", type=options.weights, metavar="FILE", help="weights of your own (.safetensors)"
     )
     parser.add_argument(
         "--height", type=options.stature, metavar="M", help="the body's stature in m"
@@ -69,6 +70,7 @@ def run(args: Namespace) -> int:
         raise UsageError("argument --uncertainty: a .bvh file cannot hold it, an .npz file can")
     inputs = [args.recording, *([args.weights] if args.weights else [])]
     files.check_output(args.output, inputs, (".npz", ".bvh"))
+    _check_weights(args.weights)
     whole = files.recording(args.recording, gaps=False)
     with files.about(args.recording):
         recording = whole.select(options.sensors(args.sensors, whole.sensors))
@@ -88,6 +90,15 @@ def run(args: Namespace) -> int:
     files.write(args.output, tracked.run.motion, extra, timed=True)
     _report(args, tracked)
     return DONE
+
+
+def _check_weights(path: Path | None) -> None:
+    """Before anything is read: weights without their description are of no use."""
+    if path is not None and path.exists() and not path.with_suffix(".json").exists():
+        raise PoserError(
+            f"{path}: its description {path.with_suffix('.json').name} is not beside it; "
+            f"poser train --export writes both"
+        )
 
 
 def _chosen(recording: Recording, network: str, path: Path, free: bool) -> Recording:

@@ -14,7 +14,7 @@ import pytest
 from mocap import metrics, sensors
 from mocap.errors import SensorError
 from mocap.formats import amass, bvh, native
-from poser import comparison, options
+from poser import comparison, files, options
 from poser.__main__ import main
 from poser.console import UsageError
 
@@ -63,6 +63,30 @@ def test_gaps_are_told_of_what_is_used_and_once(
     assert main(["info", rec]) == 0
     said = capsys.readouterr().out
     assert "gaps of pelvis" in said and "samples are missing" not in said
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("notes.txt", "is none of the .txt files that are read: Xsens MT Manager exports (tab-separated"),
+        ("table.csv", "is none of the .csv files that are read: tables with columns such as pelvis.acc_x"),
+        ("x.npz", "poser's recordings (field schema); AMASS motions (field poses); DIP-IMU"),
+        ("x.sto", "is none of the .sto files that are read: OpenSense tables"),
+        ("x.doc", "suffix '.doc' unknown; known: .amc"),
+    ],
+)  # fmt: skip
+def test_a_file_of_another_kind_is_told_what_is_read(
+    name: str, said: str, tmp_path: Path, refusal: Refusal
+) -> None:
+    (tmp_path / name).write_text("shopping: milk, bread\n")
+    status, sentence = refusal("info", tmp_path / name)
+    assert status == 1 and said in sentence and str(tmp_path / name) in sentence
+
+
+def test_every_format_has_its_signs() -> None:
+    from mocap import formats
+
+    assert {f.name for f in formats.registry()} <= set(files._SIGNS)
 
 
 def test_info_for_people(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -111,6 +111,8 @@ def test_the_hybrid_s_network(live: Path, answer: Any, estimators: Any) -> None:
 @pytest.mark.parametrize(
     ("words", "status", "said"),
     [
+        (("--source", "udp"), 2, "'udp' lacks the port to listen on, as in udp:9000"),
+        (("--source", "osc:"), 2, "'osc:' lacks the port to listen on, as in osc:9000"),
         (("--source", "udp:0"), 2, "'0' is not PORT or HOST:PORT"),
         (("--source", "udp:localhost"), 2, "is not PORT"),
         (("--source", "udp:9000", "--speed", "2"), 2, "--speed"),

@@ -133,6 +133,7 @@ REFUSED = [
     (("six", "--method", "guess"), 2, "invalid choice"),
     (("six", "--method", "dip", "--from", "soon"), 2, "not a number"),
     (("six", "--method", "dip", "--weights", "none.safetensors"), 1, "none.safetensors"),
+    (("six", "--method", "dip", "--weights", "fake.npz"), 2, "weights are NAME.safetensors with NAME.json"),
 ]  # fmt: skip
 
 
@@ -178,6 +179,16 @@ def test_weights_of_the_other_network_are_refused(
     words = ("--method", "dip", "--weights", weights)
     code, said = refusal("track", place / "six.npz", "-o", tmp_path / "o.npz", *words)
     assert code == 1 and "weights of imuposer" in said
+
+
+def test_weights_without_their_description_are_named(
+    place: Path, tmp_path: Path, refusal: Callable[..., Any]
+) -> None:
+    lone = tmp_path / "lone.safetensors"
+    lone.write_bytes((place / "dip.safetensors").read_bytes())
+    words = ("--method", "dip", "--weights", lone)
+    code, said = refusal("track", place / "six.npz", "-o", tmp_path / "o.npz", *words)
+    assert code == 1 and f"poser track: {lone}: its description lone.json is not beside it" in said
 
 
 def test_interrupted_leaves_nothing(
