@@ -57,9 +57,8 @@ bench-real: $(STAMP)
 	$(BIN)/python benchmarks/real.py
 
 bench-experiments: $(STAMP)
-	for name in share hidden augmentation noise-gap dip-tables dip-networks normalisations one-clip \
-	    dip-window dip-histogram imuposer-devices imuposer-regions; do \
-	    $(BIN)/python benchmarks/experiments.py $$name || exit 1; done
+	$(BIN)/python benchmarks/experiments.py share hidden augmentation noise-gap dip-tables dip-networks \
+	    normalisations one-clip dip-window dip-histogram imuposer-devices imuposer-regions
 
 bench-endurance: $(STAMP)
 	$(BIN)/python benchmarks/endurance.py --hours 10

@@ -1,4 +1,4 @@
-"""The papers' experiments on this project's split: `python benchmarks/experiments.py NAME [--steps N]`.
+"""The papers' experiments on this project's split: `python benchmarks/experiments.py NAME... [--steps N]`.
 
 Each experiment trains what it compares (training clips), chooses by the pose error of validation clips and
 measures on the test clips: CMU subjects 02, 05, 09, virtual sensors with the realistic noise unless the
@@ -38,7 +38,7 @@ from learned.settings import TrainSettings
 from learned.train import Trainer
 from learned.validation import cut_for
 from learned.virtual import Windows
-from mocap import dataset
+from mocap import Motion, dataset
 from mocap.errors import PoserError
 from mocap.synthesis import Noise
 
@@ -195,13 +195,19 @@ def group_of(combination: Sequence[int]) -> str:
     )
 
 
+@cache
+def worn(model: Model, combination: tuple[int, ...]) -> list[Motion]:
+    """IMUPoser's motions of the test clips with these devices: two figures ask for them."""
+    tests = on_split.recorded("test", "imuposer", Noise())
+    return on_split.imuposer_motions(model, tests, combination, STRIDE)
+
+
 def rows_of_devices(model: Model) -> Iterable[dict[str, Any]]:
     """Figure 6 of IMUPoser: the 24 combinations in their 12 groups (means over a group's)."""
     tests = on_split.recorded("test", "imuposer", Noise())
     groups: dict[str, list[dict[str, float]]] = {}
     for c in COMBINATIONS:
-        motions = on_split.imuposer_motions(model, tests, c, STRIDE)
-        groups.setdefault(group_of(c), []).append(on_split.measured(motions, tests, STRIDE))
+        groups.setdefault(group_of(c), []).append(on_split.measured(worn(model, c), tests, STRIDE))
     for name in sorted(groups):
         found = groups[name]
         means = {k: float(np.mean([f[k] for f in found])) for k in found[0]}
@@ -213,16 +219,14 @@ def rows_of_regions(model: Model) -> Iterable[dict[str, Any]]:
     tests = on_split.recorded("test", "imuposer", Noise())
     cells: dict[tuple[str, str], list[float]] = {}
     for c in COMBINATIONS:
-        by_joint = on_split.joint_cm(
-            on_split.imuposer_motions(model, tests, c, STRIDE), tests, STRIDE
-        )
+        by_joint = on_split.joint_cm(worn(model, c), tests, STRIDE)
         for region, (joints, device, other) in on_split.REGIONS.items():
             own, across = device in c, other is not None and other in c
-            worn = ("both sides" if across else "this one") if own else (
+            where = ("both sides" if across else "this one") if own else (
                 "the other side" if across else "none")  # fmt: skip
-            cells.setdefault((region, worn), []).append(float(by_joint[list(joints)].mean()))
-    for (region, worn), values in sorted(cells.items()):
-        yield {"region": region, "device": worn, "position_cm": float(np.mean(values)),
+            cells.setdefault((region, where), []).append(float(by_joint[list(joints)].mean()))
+    for (region, where), values in sorted(cells.items()):
+        yield {"region": region, "device": where, "position_cm": float(np.mean(values)),
                "combinations": len(values)}  # fmt: skip
 
 
@@ -234,11 +238,16 @@ OF_WEIGHTS: dict[str, tuple[str, Callable[[Model], Iterable[dict[str, Any]]]]] =
 }
 
 
+@cache
+def loaded(path: Path, network: str) -> Model:
+    return checkpoint.load(path, network)
+
+
 def weights_for(network: str, args: argparse.Namespace) -> Model:
     """--weights, else those that are shipped, else a network trained here."""
     path = args.weights or checkpoint.shipped(network)
     if args.weights or path.exists():
-        return checkpoint.load(path, network)
+        return loaded(path, network)
     print(f"no weights of {network}: one is trained", file=sys.stderr)
     return trained(
         Variant(network, {}, {"frames": 125} if network == "imuposer" else {}), args, network
@@ -249,7 +258,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
-    parser.add_argument("name", choices=[*TRAINED, *OF_WEIGHTS, "one-clip"])
+    parser.add_argument(
+        "names", nargs="+", metavar="NAME", choices=[*TRAINED, *OF_WEIGHTS, "one-clip"],
+        help="one or more of the above",
+    )  # fmt: skip
     parser.add_argument("--steps", type=int, default=20_000, help="of training, each network")
     parser.add_argument("--minutes", type=float, help="of training, at most")
     parser.add_argument("--hidden", type=int, default=512)
@@ -263,26 +275,32 @@ def main() -> None:
     args = parser.parse_args()
     torch.set_num_threads(1)
     on_split.MOST_CLIPS = args.clips
-    if args.name in TRAINED:
-        found = list(rows_of_trained(args.name, args))
-    elif args.name == "one-clip":
-        found = list(rows_of_one_clip(args))
-    else:
-        network, rows = OF_WEIGHTS[args.name]
-        found = list(rows(weights_for(network, args)))
+    for name in args.names:
+        found = list(rows_of(name, args))
+        told(name, found, args)
+
+
+def rows_of(name: str, args: argparse.Namespace) -> Iterable[dict[str, Any]]:
+    if name in TRAINED:
+        return rows_of_trained(name, args)
+    if name == "one-clip":
+        return rows_of_one_clip(args)
+    network, rows = OF_WEIGHTS[name]
+    return rows(weights_for(network, args))
+
+
+def told(name: str, found: list[dict[str, Any]], args: argparse.Namespace) -> None:
+    """Append the rows to the experiment's file, and print them."""
     args.output.mkdir(parents=True, exist_ok=True)
     made = {"steps": args.steps, "minutes": args.minutes, "hidden": args.hidden, "seed": args.seed}
-    with (args.output / f"{args.name}.jsonl").open("a") as out:
+    with (args.output / f"{name}.jsonl").open("a") as out:
         for r in found:
             out.write(json.dumps(r | made) + "\n")
     columns = list(found[0])
     print(row(columns, [20] * len(columns)))
     for r in found:
-        print(
-            row(
-                [f"{x:.3f}" if isinstance(x, float) else x for x in r.values()], [20] * len(columns)
-            )
-        )
+        cells = [f"{x:.3f}" if isinstance(x, float) else x for x in r.values()]
+        print(row(cells, [20] * len(columns)), flush=True)
 
 
 if __name__ == "__main__":
