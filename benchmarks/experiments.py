@@ -46,7 +46,7 @@ CMU_SHARE = 0.65
 CLEAN = Noise.none()
 # Runs are short beside the papers': without it the last steps' noise is what is compared.
 COOLDOWN = 0.35
-STRIDE = 5  # frames between those looked at, where 24 combinations are compared
+STRIDE = 25  # frames between those looked at (a second) where 24 combinations are compared
 
 
 @dataclass(frozen=True)
