@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 from mocap.errors import PoserError
 from poser.comparison import Job, attempt
@@ -16,28 +17,37 @@ def run_many(
     tell: Progress = lambda fraction, words: None,
     cluster: str | None = None,
     keep: Callable[[Compared], None] = lambda compared: None,
+    done: Callable[[str, str], None] = lambda recording, method: None,
 ) -> list[Compared | Lost]:
     """What came of all jobs, in their order; several at a time where asked, each in a process of its own.
 
     cluster: address of a Dask scheduler whose workers do them (the extra `cluster`). keep: called with each
-    result as it comes, so that an interruption loses none that is done.
+    result as it comes, so that an interruption loses none that is done. done: with the names of each
+    recording and method that has been measured; those of another process come with its recording.
     """
-    done: dict[int, Compared | Lost] = {}
+    found: dict[int, Compared | Lost] = {}
 
     def came(i: int, result: Compared | Lost) -> None:
-        done[i] = result
+        found[i] = result
         if isinstance(result, Compared):
             keep(result)
 
+    def came_from_afar(i: int, result: Compared | Lost) -> None:
+        for method in jobs[i].methods:
+            if isinstance(result, Compared) and method in result.methods:
+                done(result.name, method)
+        came(i, result)
+
     if cluster is not None:
-        _on_cluster(jobs, cluster, tell, came)
+        _on_cluster(jobs, cluster, tell, came_from_afar)
     elif processes <= 1 or len(jobs) <= 1:
         for i, job in enumerate(jobs):
             words = f"{job.name} ({i + 1} of {len(jobs)})" if len(jobs) > 1 else ""
-            came(i, attempt(job, part(tell, i / len(jobs), (i + 1) / len(jobs), words)))
+            share = part(tell, i / len(jobs), (i + 1) / len(jobs), words)
+            came(i, attempt(job, share, partial(done, job.name)))
     else:
-        _in_processes(jobs, processes, tell, came)
-    return [done[i] for i in range(len(jobs))]
+        _in_processes(jobs, processes, tell, came_from_afar)
+    return [found[i] for i in range(len(jobs))]
 
 
 def _in_processes(

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -77,8 +77,13 @@ def run(job: Job, tell: Progress = lambda fraction, words: None) -> Compared:
     return found
 
 
-def attempt(job: Job, tell: Progress = lambda fraction, words: None) -> Compared | Lost:
-    """As `run`, but a job of which nothing could be measured is `Lost`, with the reasons."""
+def attempt(
+    job: Job,
+    tell: Progress = lambda fraction, words: None,
+    done: Callable[[str], None] = lambda method: None,
+) -> Compared | Lost:
+    """As `run`, but a job of which nothing could be measured is `Lost`, with the reasons. done: is called
+    with each method that has been measured."""
     why = obstacles(job)
     able = [m for m in job.methods if m not in why]
     if not able:
@@ -93,6 +98,7 @@ def attempt(job: Job, tell: Progress = lambda fraction, words: None) -> Compared
         a, b = (start + (1 - start) * (i + k) / len(able) for k in (0, 1))
         try:
             methods[name] = _method(job, name, reference, part(tell, a, b, name))
+            done(name)
         except PoserError as e:
             why[name] = str(e)
     why = {m: why[m] for m in job.methods if m in why}

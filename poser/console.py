@@ -44,6 +44,12 @@ def tell_notes(keep: bool = True) -> None:
     _notes.clear()
 
 
+def milestone(sentence: str, name: str) -> None:
+    """A line on stderr while a command runs for long, where no terminal shows a bar."""
+    if sys.stderr is not None and not sys.stderr.isatty():
+        complain(sentence, name)
+
+
 def say(text: str = "") -> None:
     """A line for people on stdout."""
     print(text)

@@ -9,6 +9,7 @@ the reason, and the others go on.
 
 from __future__ import annotations
 
+import itertools
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -16,7 +17,18 @@ from typing import TYPE_CHECKING, Any
 
 from mocap.errors import PoserError
 from poser import files, options
-from poser.console import DONE, UsageError, emit, json_text, note, part, progress, say, table
+from poser.console import (
+    DONE,
+    UsageError,
+    emit,
+    json_text,
+    milestone,
+    note,
+    part,
+    progress,
+    say,
+    table,
+)
 
 if TYPE_CHECKING:
     from mocap.motion import Motion
@@ -101,8 +113,13 @@ def run(args: Namespace) -> int:
             files.write(folder / f"{name}.npz", result.motion, timed=True)
         files.write(folder / "reference.npz", compared.truth, timed=True)
 
+    count, every = itertools.count(1), sum(len(job.methods) for job in jobs)
+
+    def done(recording: str, method: str) -> None:
+        milestone(f"{recording}, {method}: done, {next(count)} of {every}", "poser compare")
+
     with progress("comparing") as tell:
-        found = batch.run_many(jobs, args.jobs, part(tell, 0.0, 0.95), args.cluster, keep)
+        found = batch.run_many(jobs, args.jobs, part(tell, 0.0, 0.95), args.cluster, keep, done)
         tell(0.95, "report")
         measured = results.measured(found)
         if not measured:

@@ -20,7 +20,7 @@ from mocap.errors import PoserError
 from mocap.formats.native import read_recording, write_recording
 from mocap.motion import Motion
 from mocap.recording import Recording
-from poser import batch, comparison, earlier, estimators, motions, pictures, results
+from poser import batch, comparison, console, earlier, estimators, motions, pictures, results
 from poser.__main__ import main
 from poser.commands import compare
 
@@ -92,6 +92,23 @@ def test_what_a_method_needs_is_told_and_the_others_go_on(
     page = (tmp_path / "report.html").read_text()
     assert "legs, sip: three are not enough" in page
     assert "legs, dip, hybrid-dip: dip needs" in page
+
+
+@pytest.mark.usefixtures("instant")
+def test_without_a_terminal_each_method_that_is_done_is_a_line(
+    place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ["compare", str(place / "walk.npz"), str(place / "legs.npz"), "-o", str(tmp_path)]
+    words += ["--methods", "sop,sip,dip", "--json"]
+    assert main(words) == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out)["schema"] == results.SCHEMA
+    lines = [line for line in err.splitlines() if line.startswith("poser compare: ")]
+    done = ("walk, sop", "walk, sip", "walk, dip", "legs, sop")
+    assert lines == [f"poser compare: {m}: done, {k} of 6" for k, m in enumerate(done, 1)]
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    console.milestone("a line", "poser compare")
+    assert capsys.readouterr().err == ""
 
 
 @pytest.mark.usefixtures("instant")

@@ -50,7 +50,8 @@ def test_what_is_done_is_whole_and_nothing_else_is_there(tmp_path: Path) -> None
             os.killpg(process.pid, signal.SIGKILL)
             process.communicate()
     assert (process.returncode, stdout) == (130, "")
-    assert stderr.splitlines() == ["poser compare: interrupted"]
+    measured = [f"poser compare: short, {m}: done, {k} of 4" for k, m in enumerate(METHODS, 1)]
+    assert stderr.splitlines() == [*measured, "poser compare: interrupted"]
     assert [p.name for p in out.iterdir()] == ["short"]
     written = sorted(p.stem for p in (out / "short").iterdir())
     assert {*METHODS, "reference"} <= set(written)
