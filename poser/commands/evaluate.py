@@ -12,9 +12,9 @@ from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from mocap.errors import FormatError
 from poser import clock, files, options
@@ -58,8 +58,9 @@ def add_arguments(parser: ArgumentParser) -> None:
         help="what all sensors measured, for instrumented_deg and left_out_deg",
     )
     parser.add_argument(
-        "--sensors", metavar="S", help=f"those the method saw: {options.SENSORS_HELP}"
-    )
+        "--sensors", metavar="S",
+        help=f"those the method saw: {options.SENSORS_HELP} (default: all that the recording has)",
+    )  # fmt: skip
     parser.add_argument(
         "--smpl", type=options.file, metavar="FILE", help="your SMPL body file, for mesh_cm"
     )
@@ -67,20 +68,33 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def run(args: Namespace) -> int:
-    found, others, when = _evaluate(args)
+    answer = _evaluate(args)
     if args.json:
-        emit(
-            found.to_json()
-            | {"no_skill": {name: m.to_json() for name, m in others.items()}, "compared_s": when}
-        )
+        emit(answer.to_json())
     else:
-        names = (name.replace("-", " ") for name in others)
-        table(("metric", "value", *names, "unit", "name"), rows(found, list(others.values())))
+        names = (name.replace("-", " ") for name in answer.others)
+        body = rows(answer.found, list(answer.others.values()))
+        table(("metric", "value", *names, "unit", "name"), body)
     return DONE
 
 
-def _evaluate(args: Namespace) -> tuple[Metrics, dict[str, Metrics], tuple[float, float] | None]:
-    """The motion's figures, those of the two rows that need no skill, and the time compared."""
+@dataclass(frozen=True, eq=False)
+class _Answer:
+    """The motion's figures and those of the two rows that need no skill. when: begin and end of the time
+    compared, s, where the files state theirs. counted: the sensors of instrumented_deg."""
+
+    found: Metrics
+    others: dict[str, Metrics]
+    when: tuple[float, float] | None
+    counted: tuple[str, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        others = {name: m.to_json() for name, m in self.others.items()}
+        more = {"compared_s": self.when, "instrumented_sensors": self.counted}
+        return self.found.to_json() | {"no_skill": others} | more
+
+
+def _evaluate(args: Namespace) -> _Answer:
     from mocap import metrics
     from mocap.formats import Options, native
     from mocap.skeleton import Skeleton
@@ -120,7 +134,13 @@ def _evaluate(args: Namespace) -> tuple[Metrics, dict[str, Metrics], tuple[float
         name: metrics.evaluate(other, reference, recording=recording, seen=seen, smpl=smpl)
         for name, other in _no_skill(reference, recording, seen).items()
     }
-    return found, others, when
+    counted = seen or (() if recording is None or reference is None else recording.sensors)
+    if counted and not seen:
+        note(
+            f"instrumented_deg counts the bones of all {len(counted)} sensors of "
+            f"{args.recording or args.reference} ({', '.join(counted)}); --sensors names those the method saw"
+        )
+    return _Answer(found, others, when, counted)
 
 
 def _shared(stated: Mapping[Path, Motion | Recording]) -> tuple[float, float] | None:

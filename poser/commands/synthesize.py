@@ -29,7 +29,9 @@ HELP = "virtual sensors on motion capture"
 def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("motions", type=Path, nargs="+", metavar="MOTION", help="motion files")
     options.add_output(parser, "DIR", "folder of the recordings, made if missing")
-    parser.add_argument("--sensors", default="six", metavar="S", help=options.SENSORS_HELP)
+    parser.add_argument(
+        "--sensors", default="six", metavar="S", help=f"{options.SENSORS_HELP} (default: six)"
+    )
     parser.add_argument(
         "--noise", choices=("none", "realistic"), default="none", help="default: none"
     )
