@@ -28,8 +28,8 @@ def add_arguments(parser: ArgumentParser) -> None:
         "--solver",
         choices=("ipopt", "ipopt-cold", "banded"),
         default="ipopt",
-        help="banded start and IPOPT finish (default), IPOPT alone, or no finish: banded takes about 0.4 of the "
-        "default's time with the sensors of a suit, 0.6 with six",
+        help="banded start and IPOPT finish (default), IPOPT alone, or no finish: banded takes about 0.4 of "
+        "the default's time with the sensors of a suit, 0.6 with six",
     )
     parser.add_argument(
         "--start",
