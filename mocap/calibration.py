@@ -34,24 +34,11 @@ from mocap.findings import Finding
 from mocap.motion import Motion
 from mocap.orientation import Array
 from mocap.recording import RawRecording, Recording
-from mocap.static_pose import (
-    MAX_S,
-    NEVER_STILL,
-    SMOOTH_S,
-    Pose,
-    Window,
-    average,
-    find_static,
-    stillness,
-)
+from mocap.static_pose import NEVER_STILL, Pose, Window, average, find_static
 
 SCHEMA = "poser-calibration/1"
 LEFT_ARM, RIGHT_ARM = (16, 18, 20, 22), (17, 19, 21, 23)
 ARM_ANGLE_DEG = 80.0
-# Times the rate that white noise of the gyroscopes leaves after smoothing (`_noise_rate`). With three sensors
-# or more all stances with the realistic noise at 30 to 200 Hz were below (most 1.20), all walking above:
-# simulated (least 3.3) and in two real recordings (2.9 and 18).
-NOISE_MARGIN = 1.25
 PoseName = Literal["n", "t"]
 Orientation = Literal["auto", "file", "vqf"]
 
@@ -236,7 +223,7 @@ def calibrate(
     findings = checks.check_before(raw if source == "file" else replace(raw, R_world_sensor=None))
     if strict and any(f.severity == "error" for f in findings):
         raise CalibrationError(checks.summary(findings))
-    window = _despite_noise(raw, find_static(raw, at))
+    window = find_static(raw, at)
     fused = raw if source == "file" else fusion.with_orientation(raw)
     static = average(fused, window)
     told: list[face.Cue] = []
@@ -274,43 +261,6 @@ def calibrate(
         _scale(static) if scale_acc and window.still else np.ones(len(raw.sensors)),
     )
     return result._apply(fused), result
-
-
-def _despite_noise(raw: RawRecording, window: Window) -> Window:
-    """The window made as long as a pose may be, where what it moves is no more than its gyroscopes' noise.
-
-    Wobble of the skin and noisy gyroscopes turn a still sensor by more than a standing person sways. They
-    break a stance into runs that are too short to count, or to average the wobble out.
-    """
-    limit = NOISE_MARGIN * _noise_rate(raw, window)
-    if not window.rate < limit:
-        return window
-    rate = stillness(raw)
-    moves = np.flatnonzero(rate >= limit).tolist()
-    middle = (window.start + window.stop) // 2
-    low = max((k + 1 for k in moves if k < window.start), default=0)
-    high = min((k for k in moves if k >= window.stop), default=len(raw))
-    half = round(MAX_S / 2 * raw.rate_hz)
-    start = min(window.start, max(low, middle - half))
-    stop = max(window.stop, min(high, middle + half))
-    mean = float(rate[start:stop].mean())
-    return replace(window, start=start, stop=stop, rate=mean, still=True)
-
-
-def _noise_rate(raw: RawRecording, window: Window) -> float:
-    """What is left of the gyroscopes' noise in the rate of `mocap.static_pose.stillness`, rad/s.
-
-    White noise e_t of variance v changes by |e_t - e_{t-1}|^2 = 2 v from sample to sample, which people do
-    not, and the mean of n samples has variance v / n. Noise that takes back what it turned, such as a
-    wobble, leaves less. Zero where no two samples in a row are valid.
-    """
-    frames = slice(window.start, window.stop)
-    gyr, valid = raw.gyr[frames], raw.valid[frames]
-    both = valid[1:] & valid[:-1]
-    if not both.any():
-        return 0.0
-    n = max(1, round(SMOOTH_S * raw.rate_hz))
-    return float(np.sqrt((np.diff(gyr, axis=0)[both] ** 2).sum(axis=1).mean() / 2 / n))
 
 
 def _scale(static: Pose) -> Array:
@@ -400,7 +350,7 @@ def _second_pose(
     other_bones (S,3,3): of that pose. Raises CalibrationError where its time lies outside the recording.
     """
     name, at = second
-    window = _despite_noise(raw, find_static(raw, at))
+    window = find_static(raw, at)
     other = average(raw, window)
     cues = face.second_pose(raw, static, other, bones, other_bones)
     a, b = window.seconds(raw)
