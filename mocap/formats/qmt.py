@@ -8,18 +8,14 @@ R_world_segment R_segment_sensor turns gravity upright.
 
 from __future__ import annotations
 
-import struct
-import zlib
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from scipy.io import loadmat, whosmat
 
 from mocap import orientation as ori
 from mocap.errors import CalibrationError, FormatError
-from mocap.formats import Document, Format, Options, _checks, _opensim, _physics
+from mocap.formats import Document, Format, Options, _checks, _mat5, _opensim, _physics
 from mocap.orientation import Array
 from mocap.recording import RawRecording
 from mocap.static_pose import find_static
@@ -40,9 +36,7 @@ PLACES: dict[str, str] = {
 }  # fmt: skip
 """Segment names of the file and the places of the table."""
 
-MAX_SAMPLES = 10_000_000  # of one variable; a day at 100 Hz
-MAX_BYTES = 1 << 30
-_COMPRESSED = 15  # MATLAB's miCOMPRESSED
+MAX_SAMPLES = 10_000_000  # a day at 100 Hz
 SETTLING = 0.25  # rad/s between quat and gyr, above which the file's filter has not settled
 _ISB = ("pelvis", "lower_back", "upper_back", "thigh", "shank")
 LEAST_TILT = 0.01  # rad: accelerometers are not levelled better
@@ -140,81 +134,48 @@ def _facing(rec: RawRecording, R_world_segment: Array) -> tuple[float | None, li
     ]
 
 
-def _check_size(path: Path) -> None:
-    """Refuse a file whose compressed elements inflate beyond reason, before scipy inflates them."""
-    limit = min(MAX_BYTES, max(64 << 20, 200 * path.stat().st_size))
-    total = 0
-    with path.open("rb") as f:
-        order = "<" if f.read(128)[126:128] == b"IM" else ">"
-        while len(tag := f.read(8)) == 8:
-            kind, size = struct.unpack(order + "II", tag)
-            if kind >> 16:  # a small element: its data lie in the tag
-                continue
-            if kind != _COMPRESSED:
-                f.seek(size, 1)
-                total += size
-            else:
-                total += _inflated(f.read(size), limit - total)
-            if total > limit:
-                raise FormatError(path, f"inflates to more than {limit >> 20} MiB")
-
-
-def _inflated(packed: bytes, limit: int) -> int:
-    """Bytes that a zlib stream unpacks to, counted up to just over `limit`."""
-    unpack, count = zlib.decompressobj(), 0
-    while packed and count <= limit and not unpack.eof:
-        count += len(unpack.decompress(packed, 1 << 20))
-        packed = unpack.unconsumed_tail
-    return count
-
-
-def _load(path: Path) -> dict[str, Any]:
-    try:
-        _check_size(path)
-        listed = whosmat(path)
-        big = [n for n, shape, _ in listed if np.prod([float(k) for k in shape]) > MAX_SAMPLES]
-        if big:
-            raise FormatError(
-                path, f"declares more than {MAX_SAMPLES} values", f"variable {big[0]!r}"
-            )
-        known = [n for n, _, kind in listed if n == "t" or kind == "struct"]
-        return loadmat(path, squeeze_me=True, struct_as_record=False, variable_names=known)
-    except FormatError:
-        raise
-    # scipy's readers raise whatever the bytes make them run into.
-    except Exception as e:
-        raise FormatError(path, "not a whole MATLAB 5 file: damaged or cut short") from e
-
-
 def _field(
-    path: Path, data: dict[str, Any], segment: str, name: str, shape: tuple[int, int]
+    path: Path, fields: dict[str, _mat5.Field], segment: str, name: str, shape: tuple[int, int]
 ) -> Array:
-    value = getattr(data[segment], name, None)
     where = f"segment {segment}: {name}"
-    if value is None:
+    if name not in fields:
         raise FormatError(path, "missing", where)
-    array = np.asarray(value)
-    if array.dtype.kind not in "fiu" or array.shape != shape:
-        raise FormatError(path, f"is {array.dtype} {array.shape}, expected real {shape}", where)
-    return array.astype(float)
+    value = fields[name]
+    if isinstance(value, str):
+        raise FormatError(path, f"is {value}, expected real {shape}", where)
+    if value.shape != shape:
+        raise FormatError(path, f"is {value.dtype} {value.shape}, expected real {shape}", where)
+    return value.astype(float)
+
+
+def _time(path: Path, value: _mat5.Variable) -> Array:
+    """The time stamps (T,) in s."""
+    if not isinstance(value, np.ndarray):
+        what = "a struct" if isinstance(value, dict) else value
+        raise FormatError(path, f"is {what}, expected (T,) seconds", "variable t")
+    t = np.atleast_1d(value)
+    if t.ndim != 1:
+        raise FormatError(path, f"is {t.dtype} {t.shape}, expected (T,) seconds", "variable t")
+    if len(t) > MAX_SAMPLES:
+        raise FormatError(path, f"holds more than {MAX_SAMPLES} samples", "variable t")
+    return t.astype(float)
 
 
 def _read(path: Path, options: Options) -> Document:
-    data = _load(path)
     names = {**PLACES, **_opensim.given(options)}
-    segments = [n for n in names if n in data and hasattr(data[n], "_fieldnames")]
-    if "t" not in data or not segments:
+    data = _mat5.read(path, {"t", *names})
+    found = {n: v for n in names if isinstance(v := data.get(n), dict)}
+    if "t" not in data or not found:
         raise FormatError(path, f"no variable t and no segment among {', '.join(PLACES)}")
-    t = np.atleast_1d(np.asarray(data["t"]))
-    if t.dtype.kind not in "fiu" or t.ndim != 1:
-        raise FormatError(path, f"is {t.dtype} {t.shape}, expected (T,) seconds", "variable t")
-    rate, frames, doubts = _checks.grid(path, t.astype(float), "variable t")
+    segments = list(found)
+    t = _time(path, data["t"])
+    rate, frames, doubts = _checks.grid(path, t, "variable t")
     if len(frames) != frames[-1] + 1:
         raise FormatError(path, "has gaps, expected a constant rate", "variable t")
     sensors = tuple(names[n] for n in segments)
     shapes = (("acc", 3), ("gyr", 3), ("quat", 4))
     acc, gyr, quat = (
-        np.stack([_field(path, data, n, f, (len(t), k)) for n in segments], axis=1)
+        np.stack([_field(path, found[n], n, f, (len(t), k)) for n in segments], axis=1)
         for f, k in shapes
     )
     acc_unit, gyr_unit = _physics.factors(options)
@@ -237,14 +198,14 @@ def _read(path: Path, options: Options) -> Document:
     rec = RawRecording(rate, sensors, gyr, acc, R_world_sensor=R, valid=valid, start_s=float(t[0]))
     facing, assumed = _facing(rec, R_segment)
     rec = replace(rec, facing_rad=facing)
-    found = ", ".join(f"{n} {e:.1%}" for n, e in fitted.items())
+    residuals = ", ".join(f"{n} {e:.1%}" for n, e in fitted.items())
     return Document(
         "qmt",
         rec,
         (
             "world is z-up in the file, y-up here",
             "quat is the segment's orientation; the constant rotation to the sensor is fitted to gyr and "
-            f"gravity, residual of the rate: {found}",
+            f"gravity, residual of the rate: {residuals}",
             *assumed,
         ),
         tuple(dict.fromkeys(doubts + _physics.raw(path, rec))),
