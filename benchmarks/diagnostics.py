@@ -1,9 +1,10 @@
 """What the diagnostics of raw recordings find: `python benchmarks/diagnostics.py`.
 
-Reversed axes: of 18 axes of six sensors on 22 s of the built-in motion, how many are named, for acc and gyr, by
-file orientation and from gyr and acc alone. Exchanged sides (needs the data): the score of shanks and forearms
-(`mocap.side_checks`) on clips of 8 to 20 s of validation and test subjects after an N-pose of 2 s, sensors with
-the realistic noise; the score of the exchanged pair is its negative. Clips whose rig flips are left out.
+Reversed axes: of 18 axes of six sensors on 22 s of the built-in motion, how many are named, for acc and gyr,
+by file orientation and from gyr and acc alone. Exchanged sides (needs the data): the score of shanks and
+forearms (`mocap.side_checks`) on clips of 8 to 20 s of validation and test subjects after an N-pose of 2 s,
+sensors with the realistic noise; that of the exchanged pair is its negative. Clips whose rig flips are left
+out.
 """
 
 from __future__ import annotations
