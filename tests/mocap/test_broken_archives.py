@@ -11,11 +11,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 import recording_files as files
-from broken import DEG, LEFT_HANDED, Break, Cases, cut, must_fail, must_read, one, parameters
+from broken import (
+    DEG,
+    LEFT_HANDED,
+    MEGABYTES,
+    Break,
+    Cases,
+    cut,
+    must_fail,
+    must_read,
+    one,
+    parameters,
+)
 from scipy.io import savemat
 
 from mocap import orientation as ori
-from mocap.formats import Format, Options, native, qmt
+from mocap.errors import FormatError
+from mocap.formats import Document, Format, Options, native, qmt
 from mocap.recording import RawRecording, Recording
 
 # ------------------------------------------------------------------------------------------ native
@@ -236,3 +248,20 @@ def test_good_files_pass(tmp_path: Path) -> None:
     """The files that the cases break are themselves read without an error."""
     for module, write in ((native, _REC), (native, _RAW), (qmt, files.qmt)):
         must_read(write(tmp_path), module.FORMAT)
+
+
+def _greedy(megabytes: int) -> Format:
+    """A reader that allocates so much for a moment, and then refuses the file."""
+
+    def read(path: Path, _: Options) -> Document:
+        np.empty(megabytes << 17)
+        raise FormatError(path, "refused")
+
+    return Format("greedy", (".x",), lambda path, head: True, read)
+
+
+def test_must_fail_sees_what_a_reader_allocates(tmp_path: Path) -> None:
+    """The measure fails for a reader that is too large, whatever was allocated before it."""
+    must_fail(tmp_path / "a.x", _greedy(MEGABYTES // 10), "refused")
+    with pytest.raises(AssertionError, match=f"{MEGABYTES + 100} MiB"):
+        must_fail(tmp_path / "a.x", _greedy(MEGABYTES + 100), "refused")
