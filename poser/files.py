@@ -67,9 +67,11 @@ def read(path: Path, options: Options | None = None) -> Document:
 
 
 def _check_like(path: Path) -> None:
-    """Raises FormatError for a file that is like none of the formats of its suffix, and names these."""
+    """Raises FormatError for what is no file, or like none of the formats of its suffix, and names these."""
     from mocap import formats
+    from mocap.formats._files import check_regular
 
+    check_regular(path)
     try:
         with path.open("rb") as f:
             head = f.read(4096)

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Literal
 
 from mocap.errors import FormatError, PoserError
+from mocap.formats import _files
 from mocap.motion import Motion
 from mocap.recording import RawRecording, Recording
 
@@ -95,6 +96,7 @@ def detect(path: Path) -> Format:
     """The format of a file or folder; raises FormatError where none fits."""
     if not path.exists():
         raise FormatError(path, "no such file")
+    _files.check_regular(path)
     head = b""
     if path.is_file():
         with path.open("rb") as f:

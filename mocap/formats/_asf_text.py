@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from mocap.errors import FormatError
+from mocap.formats._files import check_regular
 from mocap.formats._pickled import LARGEST_ANGLE
 from mocap.orientation import Array
 
@@ -85,6 +86,7 @@ class _Lines:
 
 
 def _text(path: Path) -> str:
+    check_regular(path)
     size = path.stat().st_size
     if size > MAX_BYTES:
         raise FormatError(path, f"{size >> 20} MiB, at most {MAX_BYTES >> 20} are read")

@@ -1,4 +1,4 @@
-"""Writing files so that an interruption never leaves half of one."""
+"""Files as such: what may be opened, and writing so that an interruption never leaves half of one."""
 
 from __future__ import annotations
 
@@ -7,6 +7,17 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+from mocap.errors import FormatError
+
+
+def check_regular(path: Path) -> None:
+    """Refuse what is neither a file nor a folder, before it is opened: opening a pipe waits for a writer.
+
+    Raises FormatError; says nothing of a path where there is nothing.
+    """
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise FormatError(path, "is a pipe, a socket or a device, expected a regular file")
 
 
 @contextmanager

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from mocap.errors import FormatError
+from mocap.formats._files import check_regular
 from mocap.orientation import Array
 
 MAX_LINE = 1 << 20
@@ -19,6 +20,7 @@ def lines(path: Path) -> Iterator[tuple[int, str]]:
 
     Raises FormatError for a line over `MAX_LINE` characters and for bytes that are no text.
     """
+    check_regular(path)
     with path.open(encoding="utf-8-sig", errors="replace", newline=None) as f:
         number = 0
         while line := f.readline(MAX_LINE + 1):

@@ -8,6 +8,7 @@ from pathlib import Path
 from xml.parsers import expat
 
 from mocap.errors import FormatError
+from mocap.formats._files import check_regular
 
 MAX_TEXT = 1 << 22  # characters of one element
 _CHUNK = 1 << 16
@@ -73,6 +74,7 @@ def elements(path: Path, wanted: frozenset[str]) -> Iterator[Element]:
     short, or declares a document type.
     """
     collector = _Collector(path, wanted)
+    check_regular(path)
     with path.open("rb") as f:
         while True:
             chunk = f.read(_CHUNK)

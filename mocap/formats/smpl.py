@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mocap.errors import FormatError, ShapeError
 from mocap.formats import _npz, _unpickle
+from mocap.formats._files import check_regular
 from mocap.motion import Motion
 from mocap.orientation import Array
 from mocap.skeleton import JOINTS, PARENTS, STATURE_RANGE, Skeleton
@@ -178,6 +179,7 @@ def _check(
 
 
 def _arrays(path: Path) -> _npz.Fields:
+    check_regular(path)
     with path.open("rb") as f:
         head = f.read(2)
     if head == b"PK":

@@ -163,7 +163,9 @@ def _mapping(folder: Path, options: Options) -> tuple[str, dict[str, str], str]:
     if isinstance(path, dict) or (path is not None and path.suffix.lower() != ".xml"):
         return "", {k.lstrip("_"): v for k, v in _opensim.given(options).items()}, ""
     if path is None:
-        beside = sorted(p for p in folder.glob("*.xml") if b"ExperimentalSensor" in _head(p))
+        beside = sorted(
+            p for p in folder.glob("*.xml") if p.is_file() and b"ExperimentalSensor" in _head(p)
+        )
         path = beside[0] if len(beside) == 1 else None
     if path is None:
         return "", {}, ""

@@ -6,6 +6,7 @@ The files are those of `tests/mocap/test_broken_table.py`, every cell of it that
 from __future__ import annotations
 
 import importlib
+import os
 import pickle
 import subprocess
 import sys
@@ -15,6 +16,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.io import savemat
+
+from mocap.formats.amass import write_motion
 
 MOCAP_TESTS = Path(__file__).parents[1] / "mocap"
 sys.path.insert(0, str(MOCAP_TESTS))
@@ -118,3 +122,64 @@ def test_as_a_process(row: str, case: str, tmp_path: Path) -> None:
     assert (done.returncode, done.stdout) == (1, "")
     assert done.stderr.startswith(f"poser convert: {path}") and done.stderr.count("\n") == 1
     assert list(out.iterdir()) == [] and not (source / "executed").exists()
+
+
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize("suffix", [".npz", ".mat", ".pkl", ".bvh", ".amc", ".csv", ".mvnx", ".pt"])
+def test_a_pipe(suffix: str, tmp_path: Path, refusal: Refusal) -> None:
+    """Refused before it is opened, which would wait for whoever writes into it."""
+    path = tmp_path / f"pipe{suffix}"
+    os.mkfifo(path)
+    for words in (("info", path), ("convert", path, tmp_path / "c.npz")):
+        status, sentence = refusal(*words)
+        assert status == 1 and f"{path}: is a pipe" in sentence
+
+
+@pytest.mark.timeout(60)
+def test_a_device(refusal: Refusal, tmp_path: Path) -> None:
+    """One that never ends, under a name that has a format."""
+    path = tmp_path / "zero.mat"
+    path.symlink_to("/dev/zero")
+    assert "is a pipe, a socket or a device" in refusal("info", path)[1]
+
+
+def _csv_folder(folder: Path) -> tuple[Path, Path, list[str]]:
+    os.mkfifo(folder / "pelvis.csv")
+    return folder, folder / "pelvis.csv", []
+
+
+def _body(folder: Path) -> tuple[Path, Path, list[str]]:
+    os.mkfifo(folder / "body.npz")
+    return walk(folder), folder / "body.npz", ["--smpl", str(folder / "body.npz")]
+
+
+def _mapping(folder: Path) -> tuple[Path, Path, list[str]]:
+    os.mkfifo(folder / "map.xml")
+    return files.sto(folder), folder / "map.xml", ["--map", str(folder / "map.xml")]
+
+
+def walk(folder: Path) -> Path:
+    """A short motion."""
+    write_motion(folder / "walk.npz", files.motion())
+    return folder / "walk.npz"
+
+
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize("make", [_csv_folder, _body, _mapping])
+def test_a_pipe_beside_or_inside(
+    make: Callable[[Path], tuple[Path, Path, list[str]]], tmp_path: Path, refusal: Refusal
+) -> None:
+    path, pipe, more = make(tmp_path)
+    status, sentence = refusal("info", path, *more)
+    assert status == 1 and f"{pipe}: is a pipe" in sentence
+
+
+def test_a_file_that_crashed_the_process(tmp_path: Path) -> None:
+    """MATLAB numbers of a type that does not exist ended scipy's reader with a signal."""
+    path = tmp_path / "crash.mat"
+    savemat(path, {"t": np.arange(40.0)[:, None], "hip": {"acc": np.ones((40, 3))}})
+    path.write_bytes(path.read_bytes().replace(b"\t\0\0\0\x40\1\0\0", b"\n\0\0\0\x40\1\0\0"))
+    line = [sys.executable, "-m", "poser", "info", str(path)]
+    done = subprocess.run(line, capture_output=True, text=True, timeout=120)
+    said = "not a whole MATLAB 5 file: damaged or cut short"
+    assert (done.returncode, done.stderr) == (1, f"poser info: {path}: {said}\n")
