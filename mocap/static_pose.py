@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
+from scipy.stats import chi2
 
 from mocap import orientation as ori
 from mocap.errors import CalibrationError
@@ -14,10 +15,13 @@ from mocap.recording import Bool, RawRecording
 
 SMOOTH_S = 0.4  # rates are averaged over this time: tremor and soft tissue are not movement
 STILL_RATE = 0.12  # rad/s: standing people sway below 5 deg/s, slow limb movements exceed 10
-# Times the rate that white noise of the gyroscopes leaves after smoothing (`_noise_rate`). With three sensors
-# or more all stances with the realistic noise at 30 to 200 Hz were below (most 1.20), all walking above:
-# simulated (least 3.3) and in two real recordings (2.9 and 18).
-NOISE_MARGIN = 1.25
+NOISE_QUANTILE = (
+    0.999  # of the rate that noisy gyroscopes alone leave: below, a frame counts as still
+)
+NOISE_S = 1.0  # the gyroscopes' noise is taken where it is least over this time
+# Over this time, wobble and tremor have taken back what they turned, and slow movement shows. Steps have,
+# too, which is why it only places the window within a still run.
+CALM_S = 1.0
 NEVER_STILL = 0.6  # rad/s: if the calmest moments are faster than this, nobody stood still
 MIN_S, MAX_S = 0.5, 2.0  # shortest run that counts as a pose, longest part of it that is averaged
 IMPLAUSIBLE_DEG = 40.0  # trunk or thighs this far from where they are in motion: sitting, lying
@@ -59,13 +63,13 @@ class Pose:
     wobble_deg: Array
 
 
-def stillness(raw: RawRecording) -> Array:
+def stillness(raw: RawRecording, smooth_s: float = SMOOTH_S) -> Array:
     """Rate of rotation of the whole body (T,), rad/s: rms over sensors of |smoothed gyr|.
 
-    The mean over SMOOTH_S keeps net rotation and removes tremor. Invalid samples do not count; frames
+    The mean over smooth_s keeps net rotation and removes tremor. Invalid samples do not count; frames
     without any valid sensor are infinite.
     """
-    n = max(1, round(SMOOTH_S * raw.rate_hz))
+    n = max(1, round(smooth_s * raw.rate_hz))
     weight = uniform_filter1d(raw.valid.astype(float), n, axis=0)
     gyr = np.where(raw.valid[..., None], np.nan_to_num(raw.gyr), 0.0)
     smooth = uniform_filter1d(gyr, n, axis=0) / np.maximum(weight, 1e-9)[..., None]
@@ -76,9 +80,44 @@ def stillness(raw: RawRecording) -> Array:
     return np.where(count > 0, mean, np.inf)
 
 
-def threshold(rate: Array) -> float:
-    """Rate (rad/s) below which the body counts as still: STILL_RATE, or more with noisy sensors."""
-    return max(STILL_RATE, 1.6 * float(np.percentile(rate, 2)))
+def threshold(raw: RawRecording, rate: Array) -> float:
+    """Limit (rad/s) of `stillness` (`rate`, of `raw`) below which the body counts as still.
+
+    STILL_RATE, or more where people tremble, or where the gyroscopes' noise alone exceeds it (skin that
+    wobbles counts as such). White noise of variance v per axis and sample, averaged over n samples,
+    leaves the mean square of 3 S normal numbers of variance v / n in three axes of S sensors: 3 v / n
+    times a chi-square of 3 S degrees of freedom over 3 S, which scatters more the fewer sensors there are.
+    """
+    dof = 3 * max(1, int(raw.valid.any(axis=0).sum()))
+    scatter = np.sqrt(chi2.ppf(NOISE_QUANTILE, dof) / dof)
+    return max(_sway(rate), float(scatter) * _noise_rate(raw))
+
+
+def _sway(rate: Array) -> float:
+    """STILL_RATE, or more where the calmest moments are not that calm, rad/s."""
+    return max(STILL_RATE, 1.6 * float(np.percentile(rate[np.isfinite(rate)], 2)))
+
+
+def _noise_rate(raw: RawRecording) -> float:
+    """What the gyroscopes' noise leaves in `stillness`, rad/s, root mean square; 0 where it cannot be told.
+
+    White noise e_t of variance v changes by |e_t - e_{t-1}|^2 = 2 v from sample to sample, by more than
+    people do when they stand: v is taken over the NOISE_S in which that is least. Noise that takes back
+    what it turned, such as a wobble, leaves less.
+    """
+    n, span = (max(1, round(s * raw.rate_hz)) for s in (SMOOTH_S, NOISE_S))
+    both = raw.valid[1:] & raw.valid[:-1]
+    change = np.where(both[..., None], np.diff(np.nan_to_num(raw.gyr), axis=0), 0.0)
+    if len(both) < span:
+        return 0.0
+    square, count = (
+        np.convolve(x, np.ones(span), mode="valid")
+        for x in ((change**2).sum(axis=(1, 2)), both.sum(axis=1).astype(float))
+    )
+    enough = count > 0.5 * count.max()
+    if not enough.any():
+        return 0.0
+    return float(np.sqrt((square[enough] / count[enough]).min() / 2 / n))
 
 
 def still_runs(raw: RawRecording) -> list[tuple[int, int]]:
@@ -86,13 +125,13 @@ def still_runs(raw: RawRecording) -> list[tuple[int, int]]:
     rate = stillness(raw)
     if not np.isfinite(rate).any():
         raise CalibrationError("no frame has a valid sensor")
-    still = rate < threshold(rate[np.isfinite(rate)])
+    still = rate < threshold(raw, rate)
     edges = np.flatnonzero(np.diff(np.r_[False, still, False])).reshape(-1, 2)
     return [(int(a), int(b)) for a, b in edges if b - a >= MIN_S * raw.rate_hz]
 
 
 def find_static(raw: RawRecording, at: float | None = None) -> Window:
-    """The window of the static pose, whatever its gyroscopes' noise.
+    """The window of the static pose.
 
     at: a time in s on the recording's clock (`raw.start_s` is frame 0); the still run around it, at
     most 1 s to each side, or 0.25 s to each side where the wearer moved. Without it: the best still
@@ -100,10 +139,6 @@ def find_static(raw: RawRecording, at: float | None = None) -> Window:
     held roughly as during the rest of the recording, which a wearer who sits or lies does not.
     Raises CalibrationError where `at` lies outside the recording or nothing is still.
     """
-    return _despite_noise(raw, _found(raw, at))
-
-
-def _found(raw: RawRecording, at: float | None) -> Window:
     rate = stillness(raw)
     if at is not None:
         return _around(raw, rate, at)
@@ -115,47 +150,11 @@ def _found(raw: RawRecording, at: float | None) -> Window:
             f"no static pose found: the body is never still for {MIN_S:g} s (calmest moment "
             f"{np.degrees(calm):.0f} deg/s); name a time"
         )
-    scores = [_score(raw, rate, a, b) for a, b in runs]
-    a, b = runs[int(np.argmax(scores))]
-    start, stop = _calmest(rate, a, b, raw.rate_hz)
+    slow = stillness(raw, CALM_S)
+    windows = [_calmest(slow, a, b, raw.rate_hz) for a, b in runs]
+    scores = [_score(raw, rate, a, b) for a, b in windows]
+    start, stop = windows[int(np.argmax(scores))]
     return Window(start, stop, float(rate[start:stop].mean()), True, True)
-
-
-def _despite_noise(raw: RawRecording, window: Window) -> Window:
-    """The window made as long as a pose may be, where what it moves is no more than its gyroscopes' noise.
-
-    Wobble of the skin and noisy gyroscopes turn a still sensor by more than a standing person sways. They
-    break a stance into runs that are too short to count, or to average the wobble out.
-    """
-    limit = NOISE_MARGIN * _noise_rate(raw, window)
-    if not window.rate < limit:
-        return window
-    rate = stillness(raw)
-    moves = np.flatnonzero(rate >= limit).tolist()
-    middle = (window.start + window.stop) // 2
-    low = max((k + 1 for k in moves if k < window.start), default=0)
-    high = min((k for k in moves if k >= window.stop), default=len(raw))
-    half = round(MAX_S / 2 * raw.rate_hz)
-    start = min(window.start, max(low, middle - half))
-    stop = max(window.stop, min(high, middle + half))
-    mean = float(rate[start:stop].mean())
-    return replace(window, start=start, stop=stop, rate=mean, still=True)
-
-
-def _noise_rate(raw: RawRecording, window: Window) -> float:
-    """What is left of the gyroscopes' noise in the rate of `mocap.static_pose.stillness`, rad/s.
-
-    White noise e_t of variance v changes by |e_t - e_{t-1}|^2 = 2 v from sample to sample, which people do
-    not, and the mean of n samples has variance v / n. Noise that takes back what it turned, such as a
-    wobble, leaves less. Zero where no two samples in a row are valid.
-    """
-    frames = slice(window.start, window.stop)
-    gyr, valid = raw.gyr[frames], raw.valid[frames]
-    both = valid[1:] & valid[:-1]
-    if not both.any():
-        return 0.0
-    n = max(1, round(SMOOTH_S * raw.rate_hz))
-    return float(np.sqrt((np.diff(gyr, axis=0)[both] ** 2).sum(axis=1).mean() / 2 / n))
 
 
 def average(raw: RawRecording, window: Window) -> Pose:
@@ -200,30 +199,37 @@ def _around(raw: RawRecording, rate: Array, at: float) -> Window:
             f"the pose at {at:g} s lies outside the recording, {raw.start_s:g} to {last:g} s"
         )
     k = min(len(raw) - 1, max(0, round((at - raw.start_s) * raw.rate_hz)))
+    still = rate < threshold(raw, rate)
+    half, shortest = round(MAX_S / 2 * raw.rate_hz), round(MIN_S / 2 * raw.rate_hz)
+    start, stop = max(0, k - shortest), min(len(raw), k + shortest + 1)
     run = next(((a, b) for a, b in still_runs(raw) if a <= k < b), None)
-    half = (MAX_S / 2 if run else 0.25) * raw.rate_hz
-    low, high = run or (0, len(raw))
-    start, stop = max(low, int(k - half)), min(high, int(k + half) + 1)
-    mean = float(rate[start:stop].mean())
-    # Noise may break a stance into runs that are too short each.
-    still = run is not None or mean < threshold(rate[np.isfinite(rate)])
-    return Window(start, stop, mean, still, False)
+    if run is None:
+        if not rate[start:stop].mean() < threshold(raw, rate):
+            return Window(start, stop, float(rate[start:stop].mean()), False, False)
+        # Noise broke the stance here, so it goes on for as long as either side is still.
+        moves = np.flatnonzero(~still)
+        before, after = moves[moves < start], moves[moves >= stop]
+        run = (
+            int(before[-1]) + 1 if len(before) else 0,
+            int(after[0]) if len(after) else len(raw),
+        )
+    start, stop = max(run[0], k - half), min(run[1], k + half + 1)
+    return Window(start, stop, float(rate[start:stop].mean()), True, False)
 
 
-def _calmest(rate: Array, a: int, b: int, rate_hz: float) -> tuple[int, int]:
-    """The calmest part of [a, b) that lasts at most MAX_S."""
+def _calmest(slow: Array, a: int, b: int, rate_hz: float) -> tuple[int, int]:
+    """The part of [a, b) that lasts at most MAX_S and turns least, by the mean square of `slow` (T,)."""
     # Smoothing hides the first movement at either end.
     trim = min(round(SMOOTH_S / 2 * rate_hz), (b - a - round(MIN_S * rate_hz)) // 2)
     a, b = a + max(trim, 0), b - max(trim, 0)
     n = min(b - a, max(1, round(MAX_S * rate_hz)))
-    sums = np.convolve(rate[a:b], np.ones(n), mode="valid")
+    sums = np.convolve(slow[a:b] ** 2, np.ones(n), mode="valid")
     k = a + int(np.argmin(sums))
     return k, k + n
 
 
 def _score(raw: RawRecording, rate: Array, a: int, b: int) -> float:
-    """Between 0 and 1: length, calmness, earliness, plausibility of a still run."""
-    a, b = _calmest(rate, a, b, raw.rate_hz)
+    """Between 0 and 1: length, calmness, earliness, plausibility of a window."""
     length = min(1.0, (b - a) / (MAX_S * raw.rate_hz))
     calm = 1.0 / (1.0 + (rate[a:b].mean() / STILL_RATE) ** 2)
     early = 1.0 - 0.7 * a / len(raw)
@@ -237,7 +243,7 @@ def _lean_from_motion(raw: RawRecording, rate: Array, a: int, b: int) -> float:
 
     Not the median, because whoever sits has shanks and trunk upright as well.
     """
-    moving = rate > 3 * threshold(rate[np.isfinite(rate)])
+    moving = rate > max(3 * _sway(rate), threshold(raw, rate))
     angles = []
     for s, name in enumerate(raw.sensors):
         if name not in _UPRIGHT:
