@@ -3,7 +3,7 @@
 What cannot be seen, said plainly: a mirror image of the whole body is a possible body, so left and right
 exchanged on every limb at once show only where the arms leave a T-pose or the upper arms are raised, and
 by how people move (`mocap.side_checks`); a sensor that turned about the vertical does not show, nor one
-that slipped with no still, upright moment afterwards.
+that slipped with no still, upright moment afterwards, nor a late clock in nothing but a gait.
 """
 
 from __future__ import annotations
@@ -17,22 +17,38 @@ from mocap import facing as face
 from mocap import headings as heads
 from mocap.findings import Finding
 from mocap.orientation import Array
-from mocap.recording import RawRecording
+from mocap.recording import RawRecording, gaps
 from mocap.static_pose import Pose, Window, still_runs, tilt_from_pose
 
 MOVED_DEG = 5.0
 SLIPPED_DEG, REST_DEG = 12.0, 6.0  # tilt of one sensor since the pose; of the others meanwhile
 # Segments that people hold differently each time they stand still.
-LOOSE_DEG = {"head": 30.0, "hand": 30.0, "forearm": 25.0, "wrist": 25.0, "upper_arm": 18.0}
+LOOSE_DEG = {
+    "head": 30.0,
+    "shoulder_blade": 35.0,
+    "hand": 30.0,
+    "forearm": 25.0,
+    "wrist": 25.0,
+    "upper_arm": 18.0,
+}
+POSTURE_DEG = 45.0  # no strap lets a sensor tilt by more: the limb is held differently
+ARM_KINDS = ("upper_arm", "forearm", "wrist", "hand")
 LEANING_DEG = 25.0
 SWAPPED = -0.3  # correlation of the sides' activity along a limb below which names are exchanged
 LAG_S = 0.1
+LAG_GAIN = 0.1  # by which a lag must correlate better than none
+LIVELY = 0.5  # standard deviation of the activity from which its course tells a lag
+UNSEEN_S = 3.0  # the filter corrects a tilt that a gap left within this time (VQF's tauAcc)
 TRUNK = ("pelvis", "lower_back", "upper_back", "sternum")
 
 
 def check_pose(raw: RawRecording, window: Window, pose: Pose) -> list[Finding]:
-    """Did a sensor, or the wearer, move during the pose?"""
+    """Did a sensor, or the wearer, move during the pose?
+
+    A sensor did if it moved by more than MOVED_DEG and than its wobble and its gaps explain.
+    """
     found = []
+    unseen = _unseen_deg(raw, window)
     a, b = window.seconds(raw)
     if not window.still:
         text = (
@@ -42,18 +58,39 @@ def check_pose(raw: RawRecording, window: Window, pose: Pose) -> list[Finding]:
         found.append(Finding("warning", None, "pose-not-still", text, float(window.rate)))
     for s, name in enumerate(raw.sensors):
         moved = float(pose.moved_deg[s])
-        if moved > max(MOVED_DEG, 5.0 * float(pose.wobble_deg[s])):
+        explained = max(MOVED_DEG, 5.0 * float(pose.wobble_deg[s]))
+        if moved > np.hypot(explained, 2.0 * unseen[s]):
             text = f"sensor {name}: moved by {moved:.1f} deg during the pose, {a:.2f} to {b:.2f} s"
             found.append(Finding("warning", name, "moved-in-pose", text, moved))
     return found
 
 
-def check_slipped(raw: RawRecording, window: Window, pose: Pose) -> list[Finding]:
+def _unseen_deg(raw: RawRecording, window: Window) -> Array:
+    """How far, in deg, each sensor (S,) may have turned unseen in gaps that bear on the window, 1 sigma.
+
+    A gap of d s between rates of w rad/s (root mean square over 0.1 s to either side) hides about w d; the
+    filter puts that right within UNSEEN_S, which looks like movement. Gaps are independent.
+    """
+    square = np.zeros(len(raw.sensors))
+    near, margin = max(1, round(0.1 * raw.rate_hz)), round(UNSEEN_S * raw.rate_hz)
+    for gap in gaps(raw.valid):
+        s, start, stop = gap["sensor"], gap["start"], gap["start"] + gap["frames"]
+        if stop < window.start - margin or start > window.stop + margin:
+            continue
+        beside = np.r_[max(0, start - near) : start, stop : min(len(raw), stop + near)]
+        gyr = raw.gyr[beside, s][raw.valid[beside, s]]
+        if len(gyr):
+            square[s] += (gyr**2).sum(axis=1).mean() * (gap["frames"] / raw.rate_hz) ** 2
+    return np.asarray(np.degrees(np.sqrt(square)))
+
+
+def check_slipped(raw: RawRecording, window: Window, pose: Pose, name: str) -> list[Finding]:
     """Is one sensor tilted in a later still stance in which the rest of the body is as in the pose?
 
     A still run counts if the median tilt over the sensors is below REST_DEG. A limb may be held
     differently on purpose, so a sensor is named only if it is off in most of the runs from the first
-    in which it is off, and by more the more freely its segment moves.
+    in which it is off, and by more the more freely its segment moves. Beyond POSTURE_DEG it is no slip.
+    Arms that were held out in the pose (`name` "t") are judged only where other arms are out again.
     """
     later = [(a, b) for a, b in still_runs(raw) if a >= window.stop]
     tilts = [tilt_from_pose(raw, a, b, pose) for a, b in later]
@@ -63,20 +100,32 @@ def check_slipped(raw: RawRecording, window: Window, pose: Pose) -> list[Finding
         if np.isfinite(t).sum() >= 3 and np.nanmedian(t) < REST_DEG
     ]
     found = []
-    for s, name in enumerate(raw.sensors):
-        limit = LOOSE_DEG.get(face.kind(name), SLIPPED_DEG)
-        off = [k for k, (_, t) in enumerate(rows) if t[s] > limit]
-        if not off or len(off) <= 0.5 * (len(rows) - off[0]):
+    arms = [s for s, sensor in enumerate(raw.sensors) if face.kind(sensor) in ARM_KINDS]
+    for s, sensor in enumerate(raw.sensors):
+        limit = LOOSE_DEG.get(face.kind(sensor), SLIPPED_DEG)
+        judged = [(run, t) for run, t in rows if t[s] < POSTURE_DEG]
+        if name == "t" and s in arms:
+            others = [a for a in arms if a != s]
+            judged = [(run, t) for run, t in judged if _as_in_pose(t[others])]
+        off = [k for k, (_, t) in enumerate(judged) if t[s] > limit]
+        if not off or len(off) <= 0.5 * (len(judged) - off[0]):
             continue
-        since = raw.start_s + rows[off[0]][0][0] / raw.rate_hz
-        tilt = float(np.median([rows[k][1][s] for k in off]))
+        (first, _), tilts_then = judged[off[0]]
+        since = raw.start_s + first / raw.rate_hz
+        tilt = float(np.median([judged[k][1][s] for k in off]))
         text = (
-            f"sensor {name}: tilted by {tilt:.0f} deg since the pose when the body stands still again "
-            f"at {since:.1f} s, the others by {float(np.nanmedian(rows[off[0]][1])):.0f} deg: it "
+            f"sensor {sensor}: tilted by {tilt:.0f} deg since the pose when the body stands still again "
+            f"at {since:.1f} s, the others by {float(np.nanmedian(tilts_then)):.0f} deg: it "
             f"slipped on the bone, or that limb was held differently"
         )
-        found.append(Finding("warning", name, "slipped", text, tilt))
+        found.append(Finding("warning", sensor, "slipped", text, tilt))
     return found
+
+
+def _as_in_pose(tilts: Array) -> bool:
+    """Is half of these tilts (deg) below REST_DEG? Those that are NaN do not count."""
+    known = tilts[np.isfinite(tilts)]
+    return len(known) > 0 and float(np.median(known)) < REST_DEG
 
 
 def check_leaning(raw: RawRecording, window: Window, pose: Pose) -> list[Finding]:
@@ -236,6 +285,9 @@ def check_lags(raw: RawRecording, joints: np.ndarray) -> list[Finding]:
     For each pair of sensors on one limb or the trunk, the lag (at most 0.5 s) at which their activity
     correlates best; one lag per sensor explains them by least absolute deviations (a sensor's lag is
     the median of its pairwise lags, when its neighbours agree among themselves).
+
+    In a gait the thigh is always busy a little before the shank, and a lag of half a stride fits as well as
+    none: where the correlation swings to the opposite within the lags tried, it does not tell a clock.
     """
     # A lag to 30 ms is enough, and the cost grows with the square of the rate.
     skip = max(1, int(raw.rate_hz // 30))
@@ -265,13 +317,13 @@ def check_lags(raw: RawRecording, joints: np.ndarray) -> list[Finding]:
 
 
 def _lag(x: Array, y: Array, reach: int) -> float:
-    """Frames by which x is later than y; NaN where the best correlation is poor or no better."""
-    if min(x.std(), y.std()) < 0.3 or len(x) < 24 * reach:  # 12 s
+    """Frames by which x is later than y; 0 where that is hardly better, NaN where it cannot be told."""
+    if min(x.std(), y.std()) < LIVELY or len(x) < 24 * reach:  # 12 s
         return np.nan
     core = x[reach:-reach]
     shifts = np.arange(-reach, reach + 1)
     c = np.array([np.corrcoef(core, y[reach - k : len(y) - reach - k])[0, 1] for k in shifts])
     best = int(np.argmax(c))
-    if c[best] < 0.6 or best in (0, len(c) - 1):
+    if c[best] < 0.6 or best in (0, len(c) - 1) or c.min() < 0:
         return np.nan
-    return float(shifts[best]) if c[best] > c[reach] + 0.05 else 0.0
+    return float(shifts[best]) if c[best] > c[reach] + LAG_GAIN else 0.0

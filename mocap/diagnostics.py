@@ -74,7 +74,7 @@ def check_result(
     joints, _ = places.joints_and_seats(raw.sensors)
     found = body_checks.check_pose(raw, window, pose)
     found += body_checks.check_swapped(raw, joints, ori.rot_y(-facing) @ raw.R_world_sensor)
-    found += body_checks.check_slipped(raw, window, pose)
+    found += body_checks.check_slipped(raw, window, pose, name)
     found += body_checks.check_leaning(raw, window, pose)
     if (sigma < np.radians(SIDES_DEG)).all():
         found += body_checks.check_sides(raw, pose, facing, name)
