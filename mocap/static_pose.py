@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from mocap import orientation as ori
 from mocap.errors import CalibrationError
@@ -15,9 +15,8 @@ from mocap.recording import Bool, RawRecording
 
 SMOOTH_S = 0.4  # rates are averaged over this time: tremor and soft tissue are not movement
 STILL_RATE = 0.12  # rad/s: standing people sway below 5 deg/s, slow limb movements exceed 10
-NOISE_QUANTILE = (
-    0.999  # of the rate that noisy gyroscopes alone leave: below, a frame counts as still
-)
+# Of the rate that noisy gyroscopes alone leave: below, a frame counts as still.
+NOISE_QUANTILE = 0.999
 NOISE_S = 1.0  # the gyroscopes' noise is taken where it is least over this time
 # Over this time, wobble and tremor have taken back what they turned, and slow movement shows. Steps have,
 # too, which is why it only places the window within a still run.
@@ -89,7 +88,7 @@ def threshold(raw: RawRecording, rate: Array) -> float:
     times a chi-square of 3 S degrees of freedom over 3 S, which scatters more the fewer sensors there are.
     """
     dof = 3 * max(1, int(raw.valid.any(axis=0).sum()))
-    scatter = np.sqrt(chi2.ppf(NOISE_QUANTILE, dof) / dof)
+    scatter = np.sqrt(chdtri(dof, 1 - NOISE_QUANTILE) / dof)
     return max(_sway(rate), float(scatter) * _noise_rate(raw))
 
 
