@@ -29,6 +29,7 @@ from poser.live.packets import MAX_DATAGRAM, Packet, Rejected
 IDLE_S = 0.002  # the longest wait for something to happen, so that rows leave on time
 SOON_S = 1e-6  # a sample this near its time is due: sleeping for less is no sleep
 DATAGRAMS = 1000  # taken at a time: a flood must not keep rows from leaving
+RECEIVE_BYTES = 4 << 20  # asked for: some seconds of a suit at 100 Hz
 Decoder = Callable[[bytes], Iterator[Packet | Rejected]]
 Clock = Callable[[], float]
 
@@ -166,6 +167,8 @@ class Receiver:
         family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
+        # A machine that stops for a second must not lose what arrives meanwhile; the system caps it.
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BYTES)
         self._address, self._decode, self._clock = address, decode, clock
         self.rejected: Counter[str] = Counter()
 
