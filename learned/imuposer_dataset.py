@@ -100,8 +100,8 @@ def _reference(
         raise FormatError(path, f"is {pose.shape}, expected ({T}, 72)", "field pose")
     body = _pickled.body(options)
     whole = _holes.poses(pose, rate)
-    pose, kept, start_s = whole.values, whole.kept, whole.kept.start / rate
-    motion, doubts = _pickled.reference(path, rate, pose, body, start_s)
+    kept = whole.kept
+    motion, doubts = _pickled.reference(path, rate, whole.values, body, kept.start / rate)
     doubts = [*whole.notes, *doubts]
     if motion is None or "trans" not in data:
         return motion, kept, doubts
@@ -111,8 +111,7 @@ def _reference(
     if not np.isfinite(trans[kept]).all():
         doubts.append("some trans is not finite: the pelvis of the reference stays in place")
         return motion, kept, doubts
-    moving = Motion.from_smpl(rate, pose, trans[kept], body)
-    return replace(moving, start_s=start_s), kept, doubts
+    return replace(motion, p_world_root=trans[kept] + body.offsets[0]), kept, doubts
 
 
 def _sniff(path: Path, head: bytes) -> bool:

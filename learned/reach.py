@@ -1,8 +1,8 @@
 """How many frames of layer 2 an emitted frame needs: a property of the weights, measured once they are there.
 
 `learned.runtime` may begin layer 2 some frames before the emitted one. What that changes depends on what the
-network has learnt: of two trainings of IMUPoser, 40 frames cost one 0.2 degrees and the other 2. The number
-is therefore measured on validation windows when weights are exported, and stands in their description.
+network has learnt: of two trainings of IMUPoser, 40 frames cost one 0.35 degrees and the other 2.3. The
+number is therefore measured on validation windows when weights are exported, and stands in their description.
 """
 
 from __future__ import annotations

@@ -12,7 +12,9 @@ hardly tilts never sees gravity.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import permutations, product
 
 import numpy as np
@@ -117,7 +119,8 @@ def _clipping(name: str, what: str, x: Array) -> list[Finding]:
     return [Finding("warning", name, "clipping", text, limit)]
 
 
-def _readings() -> list[Array]:
+@cache
+def _readings() -> tuple[Array, ...]:
     """The 48 signed permutations of three axes, the identity first, simplest next."""
     found = []
     for p in permutations(range(3)):
@@ -125,19 +128,18 @@ def _readings() -> list[Array]:
             M = np.zeros((3, 3))
             M[range(3), p] = signs
             found.append(M)
-    return sorted(found, key=lambda M: 9 - int((np.eye(3) == M).sum()))
+    return tuple(sorted(found, key=lambda M: 9 - int((np.eye(3) == M).sum())))
 
 
 def _axes(
     name: str, gyr: Array, acc: Array, ok: np.ndarray, raw: RawRecording, s: int
 ) -> list[Finding]:
     """Units and axes of gyr and acc, against R_world_sensor where there is one and each other."""
-    readings = _readings()
     if raw.R_world_sensor is not None:
         R = raw.R_world_sensor[:, s]
         has = ok & np.isfinite(R).all((-1, -2))
         if has.sum() > raw.rate_hz:
-            found = _against_orientation(name, gyr, acc, R, has, raw.rate_hz, readings)
+            found = _against_orientation(name, gyr, acc, R, has, raw.rate_hz)
             if found:
                 return found
     fast = float(np.percentile(np.linalg.norm(gyr, axis=1), 99.5))
@@ -148,7 +150,7 @@ def _axes(
     if stretches is None:
         return []
     wanders = _wandering(*stretches)
-    trials = list(readings)
+    trials = list(_readings())
     if fast > FAST:
         trials.append(np.eye(3) * DEG)
         gyr, acc, rate = stretches
@@ -160,8 +162,7 @@ def _axes(
         f"sensor {name}: carried along by gyr, gravity wanders by {better.before_deg:.0f} deg in acc "
         f"({better.after_deg:.0f} deg if corrected): "
     )
-    found_one = _named(name, head, better.reading, None, better.before_deg)
-    return [found_one if better.sure else replace(found_one, severity="warning")]
+    return [better.told(name, head, None)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,8 +174,13 @@ class _Better:
     after_deg: float
     sure: bool
 
+    def told(self, name: str, head: str, of: str | None) -> Finding:
+        """As `_named`, an error only where it is sure."""
+        found = _named(name, head, self.reading, of, self.before_deg)
+        return found if self.sure else replace(found, severity="warning")
 
-def _better(wanders: Array, readings: list[Array]) -> _Better | None:
+
+def _better(wanders: Array, readings: Sequence[Array]) -> _Better | None:
     """The reading that explains the wandering (H,W), the identity's first; None if it needs none.
 
     Simple mistakes before others: one axis of gyr or acc, then all of one, then exchanged ones.
@@ -233,8 +239,7 @@ def _wandering(gyr: Array, acc: Array, rate_hz: float) -> Array:
     means of R_+-[:, j] acc_k: computed once for all readings.
     """
     n = round(MEAN_S * rate_hz)
-    weight = np.hanning(n + 2)[1:-1]
-    weight /= weight.sum()
+    weight = _hann(n)
     starts = range(0, gyr.shape[1] - n + 1, max(1, n // 4))
     means = {}
     for sign in (1.0, -1.0):
@@ -263,7 +268,6 @@ def _against_orientation(
     R: Array,
     has: np.ndarray,
     rate_hz: float,
-    readings: list[Array],
 ) -> list[Finding]:
     """gyr against the rate of R_world_sensor, and acc, turned by it, against gravity."""
     pair = has[1:] & has[:-1]
@@ -273,34 +277,30 @@ def _against_orientation(
     found = []
     w, g = (_means(np.where(np.r_[False, pair][:, None], x, 0.0), eighth) for x in (rate, gyr))
     if np.sqrt((w**2).sum(axis=1).mean()) > 0.15:
-        off = [_relative(w, g @ M.T) for M in [*readings, np.eye(3) * DEG]]
+        trials = [*_readings(), np.eye(3) * DEG]
+        off = [_relative(w, g @ M.T) for M in trials]
         best = int(np.argmin(off))
         if off[0] > 0.4 and off[best] < 0.5 * off[0]:
-            M = [*readings, np.eye(3) * DEG][best]
             head = f"sensor {name}: gyr is not the rate of its orientation ({off[0]:.0%} off): "
-            found.append(_named(name, head, M, "gyr", off[0]))
-    wanders = _from_up(R, acc, has, rate_hz, readings)
-    better = None if wanders is None else _better(wanders, readings)
+            found.append(_named(name, head, trials[best], "gyr", off[0]))
+    wanders = _from_up(R, acc, has, rate_hz)
+    better = None if wanders is None else _better(wanders, _readings())
     if better is not None:
         head = (
             f"sensor {name}: turned by its orientation, acc is {better.before_deg:.0f} deg from upright in "
             f"the mean ({better.after_deg:.0f} deg if corrected): "
         )
-        one = _named(name, head, better.reading, "acc", better.before_deg)
-        found.append(one if better.sure else replace(one, severity="warning"))
+        found.append(better.told(name, head, "acc"))
     return found
 
 
-def _from_up(
-    R: Array, acc: Array, has: np.ndarray, rate_hz: float, readings: list[Array]
-) -> Array | None:
+def _from_up(R: Array, acc: Array, has: np.ndarray, rate_hz: float) -> Array | None:
     """Square over g^2 of how far mean R M acc is from gravity, (48,W): per reading M of acc.
 
     Windows of `MEAN_S` whose samples are there; None where there are too few.
     """
     n, hop = round(MEAN_S * rate_hz), max(1, round(HOP_S * rate_hz))
-    weight = np.hanning(n + 2)[1:-1]
-    weight /= weight.sum()
+    weight = _hann(n)
     starts = [a for a in range(0, len(acc) - n + 1, hop) if has[a : a + n].mean() > 0.9]
     if len(starts) < MIN_WINDOWS:
         return None
@@ -311,8 +311,14 @@ def _from_up(
         for a in starts
     ])  # fmt: skip
     up = np.array([0.0, ori.GRAVITY, 0.0])
-    off = [((np.einsum("wijk,jk->wi", means, M) - up) ** 2).sum(axis=-1) for M in readings]
+    off = [((np.einsum("wijk,jk->wi", means, M) - up) ** 2).sum(axis=-1) for M in _readings()]
     return np.array(off) / ori.GRAVITY**2
+
+
+def _hann(n: int) -> Array:
+    """Weights (n,) of a mean, sum 1: a periodic motion of two periods or more averages out."""
+    weight = np.hanning(n + 2)[1:-1]
+    return np.asarray(weight / weight.sum())
 
 
 def _means(x: Array, n: int) -> Array:

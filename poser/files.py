@@ -110,22 +110,9 @@ def recording(path: Path, options: Options | None = None, gaps: bool = True) -> 
     return _expect(path, "recording", options, gaps=gaps)  # type: ignore[return-value]
 
 
-def missing(recording: Recording) -> list[str]:
-    """The sentences of the readers about samples that are missing, in whole or in part."""
-    from mocap.formats._checks import gap_report, half_report
-
-    names = recording.sensors
-    half = recording.valid & ~recording.acc_valid & recording.acc_valid.any(axis=0)
-    half[[0, -1]] = False  # a second difference has no value at either end
-    return [
-        *gap_report(recording.valid, names),
-        *half_report(recording.valid & ~recording.ori_valid, names, "orientation"),
-        *half_report(half, names, "acceleration"),
-    ]
-
-
 def note_gaps(path: Path, used: Recording, whole: Recording) -> None:
     """Note the samples that are missing in what is used of a recording."""
+    from mocap.formats._physics import missing
     from poser.clock import words
 
     where = f"{path}, {words(used)}" if len(used) < len(whole) else str(path)
@@ -141,6 +128,7 @@ def raw(path: Path, options: Options | None = None) -> RawRecording:
 def _expect(
     path: Path, kind: str, options: Options | None, quiet: bool = False, gaps: bool = True
 ) -> Content:
+    from mocap.formats._physics import missing
     from mocap.motion import Motion
     from mocap.recording import Recording
 

@@ -81,7 +81,8 @@ def solve(
     # Blocks of 75 are too small for BLAS threads: waiting for each other they take several times longer.
     with threadpool_limits(1, "blas"):
         for i, w in enumerate(plan):
-            tell = _windowed(progress, i, len(plan))
+            where = f"window {i + 1} of {len(plan)}, " if len(plan) > 1 else ""
+            tell = share(progress, i, len(plan), where)
             before = parts[-1] if parts else None
             part = _solve_window(recording, skeleton, settings, kinematics, given, w, before, tell)
             parts.append(part)
@@ -98,12 +99,11 @@ def _check_start(start: Motion, recording: Recording) -> None:
         )
 
 
-def _windowed(progress: Progress | None, i: int, count: int) -> Progress:
-    """Progress of window i as progress of the whole."""
+def share(progress: Progress | None, i: int, count: int, where: str) -> Progress:
+    """Progress of part i of `count` as progress of the whole, its words after `where`."""
 
     def tell(fraction: float, words: str) -> None:
         if progress:
-            where = f"window {i + 1} of {count}, " if count > 1 else ""
             progress((i + fraction) / count, where + words)
 
     return tell

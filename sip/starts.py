@@ -20,7 +20,7 @@ from mocap.recording import Recording
 from mocap.skeleton import Skeleton
 from mocap.solution import Solution
 from sip.settings import Settings
-from sip.solve import Progress, solve
+from sip.solve import Progress, share, solve
 
 Start = Literal["prior"] | Motion
 
@@ -47,13 +47,8 @@ def cheapest(
         raise SolveError("with self-calibration the costs of several starts cannot be compared")
     found: dict[str, Solution] = {}
     for k, (name, start) in enumerate(starts.items()):
-
-        def tell(fraction: float, words: str, k: int = k, name: str = name) -> None:
-            if progress:
-                progress((k + fraction) / len(starts), f"from {name}: {words}")
-
-        own = progress if len(starts) == 1 else tell
-        found[name] = solve(recording, skeleton, replace(settings, start=start), own)
+        tell = share(progress, k, len(starts), f"from {name}: " if len(starts) > 1 else "")
+        found[name] = solve(recording, skeleton, replace(settings, start=start), tell)
     best = min(found, key=lambda name: found[name].total_cost)
     kept = found[best]
     report = kept.report | {

@@ -221,14 +221,21 @@ def _up(path: Path, rec: RawRecording) -> list[str]:
     return doubts
 
 
-def calibrated(path: Path, rec: Recording) -> list[str]:
-    """Warnings on a calibrated recording; raises FormatError where gravity is in or acc is in g."""
-    doubts = gap_report(rec.valid, rec.sensors)
-    doubts += half_report(rec.valid & ~rec.ori_valid, rec.sensors, "orientation")
+def missing(rec: Recording) -> list[str]:
+    """The warnings about samples that are missing, in whole or in part."""
     # A second difference has no value at either end, and some sensors measure orientation alone.
     half = rec.valid & ~rec.acc_valid & rec.acc_valid.any(axis=0)
     half[[0, -1]] = False
-    doubts += half_report(half, rec.sensors, "acceleration")
+    return [
+        *gap_report(rec.valid, rec.sensors),
+        *half_report(rec.valid & ~rec.ori_valid, rec.sensors, "orientation"),
+        *half_report(half, rec.sensors, "acceleration"),
+    ]
+
+
+def calibrated(path: Path, rec: Recording) -> list[str]:
+    """Warnings on a calibrated recording; raises FormatError where gravity is in or acc is in g."""
+    doubts = missing(rec)
     for s, name in enumerate(rec.sensors):
         a = rec.acc_world[rec.acc_valid[:, s], s]
         if len(a) < 2 * rec.rate_hz:

@@ -45,6 +45,17 @@ def at_most(megabytes: float) -> Iterator[None]:
         assert peak < megabytes, f"{peak:.0f} MiB"
 
 
+def changed(write: Callable[[Path], Path], change: Callable[[Path], object]) -> Break:
+    """A good file or folder as `write` makes it, then changed in place."""
+
+    def make(folder: Path) -> Path:
+        out = write(folder)
+        change(out)
+        return out
+
+    return make
+
+
 def must_fail(path: Path, reader: Format, message: str = "") -> None:
     """Reading fails with one sentence about this file that matches `message`, fast and small.
 

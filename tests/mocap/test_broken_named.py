@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import recording_files as files
-from broken import BOMB, Break, Cases, cut, must_fail, must_read, parameters, replaced
+from broken import BOMB, Break, Cases, changed, cut, must_fail, must_read, parameters, replaced
 
 from mocap.formats import Format, csv, mvnx
 
@@ -171,12 +171,7 @@ def _in_milliseconds(path: Path) -> Path:
 
 
 def _folder(change: Callable[[Path], object]) -> Break:
-    def make(folder: Path) -> Path:
-        out = files.csv_folder(folder)
-        change(out)
-        return out
-
-    return make
+    return changed(files.csv_folder, change)
 
 
 CSV_FOLDER: Cases = {

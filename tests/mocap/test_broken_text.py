@@ -15,6 +15,7 @@ from broken import (
     LEFT_HANDED,
     Break,
     Cases,
+    changed,
     cut,
     must_fail,
     must_read,
@@ -78,12 +79,7 @@ _DEVICE = "MT_trial_00B40001.txt"
 
 
 def _mtw(change: Callable[[Path], object]) -> Break:
-    def make(folder: Path) -> Path:
-        out = files.mtw(folder)
-        change(out / _DEVICE)
-        return out
-
-    return make
+    return changed(files.mtw, lambda out: change(out / _DEVICE))
 
 
 def _mtw_raw(change: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]) -> Break:
@@ -136,12 +132,7 @@ MTW: Cases = {
 
 
 def _tc_raw(change: Callable[[Path], object]) -> Break:
-    def make(folder: Path) -> Path:
-        path = files.totalcapture(folder)
-        change(path)
-        return path
-
-    return make
+    return changed(files.totalcapture, change)
 
 
 def _cell(line: int, column: int, new: str) -> Break:
