@@ -3,6 +3,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+# Tests: a process per core, libraries on one thread each, or they would fight for the cores.
+WORKERS ?= auto
 # One clone may move: paths are relative, and the stamp follows what it was made from.
 
 .PHONY: help venv demo test lint types check bench bench-split bench-methods bench-real bench-experiments bench-endurance prior weights clean
@@ -35,7 +37,7 @@ types: $(STAMP)
 	$(BIN)/mypy
 
 check: $(STAMP)
-	$(BIN)/python -m pytest
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile
 
 test: lint types check
 
