@@ -1,8 +1,8 @@
 """Symmetric positive definite matrices of T x T blocks with a few block diagonals.
 
 `Band` keeps the lower block diagonals, `Factor` their Cholesky factor. A factorisation costs
-T n^3 (k^2 + k + 1/3) operations for block size n and k block diagonals below the main one, all of it in
-LAPACK and BLAS calls on contiguous blocks, and is linear in T. A border of dense columns (unknowns that
+T n^3 (k^2 + k + 1/3) operations for block size n and k block diagonals below the main one, all of it
+in LAPACK, and is linear in T. A border of dense columns (unknowns that
 live through the whole sequence) is eliminated by its Schur complement.
 """
 
@@ -11,7 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import blas, lapack
+from numpy.lib.stride_tricks import as_strided
+from scipy.linalg import lapack
 
 from mocap.errors import SolveError
 from mocap.orientation import Array
@@ -56,43 +57,26 @@ class NotPositiveDefinite(ArithmeticError):
 class Factor:
     """Cholesky factor of a `Band` with `damping` (T,n) added to its diagonal.
 
-    Right-looking over frames: with the window of blocks t..t+k dense, L_tt = chol(A_tt),
-    P = A_{t+1..t+k,t} L_tt^-T, A_window -= P P^T.
+    LAPACK's banded one, kept in its storage: entry (i, j) of L, i >= j, lies at columns[j, i - j]. Blocks of
+    it are views: diag[t] is L_tt^T (n,n) and panel[t] is L_{t+1..t+k, t}^T (n, k n).
     """
 
     def __init__(self, band: Band, damping: Array | float = 0.0, corner_damping: float = 0.0):
         T, k1, n, _ = band.blocks.shape
-        k = k1 - 1
+        k, rows = k1 - 1, k1 * n
         self.T, self.k, self.n = T, k, n
-        # Column-major copies: LAPACK works on them without copying. panel[t] stacks L_{t+1..t+k, t}.
-        self.diag = np.empty((T, n, n))
-        self.panel = np.zeros((T, n, k * n))  # transposed: panel[t].T is (k n, n)
-        damp = np.broadcast_to(np.asarray(damping, float), (T, n))
-        W = np.zeros(((k + 1) * n, (k + 1) * n), order="F")
-        index = np.arange(n)
-        # The window starts with the blocks of frames 0..k-1; each step brings in frame t+k.
-        for d in range(k):
-            self._load(band, W, d, 0, d, T)
-        for t in range(T):
-            for d in range(k + 1):
-                if t + k < T:
-                    # Row k of the window: blocks H[t+k, t+d].
-                    s = t + d
-                    W[k * n :, d * n : (d + 1) * n] = band.blocks[s, k - d]
-            A = W[:n, :n]
-            A[index, index] += damp[t]
-            L, info = lapack.dpotrf(A, lower=1, clean=1, overwrite_a=0)
-            if info != 0:
-                raise NotPositiveDefinite(t)
-            self.diag[t] = L.T
-            if k and t + 1 < T:
-                m = min(k, T - 1 - t) * n
-                P = blas.dtrsm(1.0, L, W[n : n + m, :n], side=1, lower=1, trans_a=1)
-                self.panel[t, :, :m] = P.T
-                # Schur complement, then the window moves one block up and left.
-                S = blas.dgemm(-1.0, P, P, trans_b=1)
-                W[:m, :m] = W[n : n + m, n : n + m]
-                W[:m, :m] += S
+        # One diagonal more than the band has: the strided views of blocks then overlap in zeros alone.
+        storage = np.zeros(T * n * (rows + 1))
+        skewed = as_strided(storage, (T, n, rows), (8 * n * (rows + 1), 8 * rows, 8))
+        np.multiply(np.swapaxes(band.blocks[:, 0], 1, 2), np.triu(np.ones((n, n))), skewed[..., :n])
+        for d in range(1, min(k, T - 1) + 1):
+            skewed[: T - d, :, d * n : (d + 1) * n] = np.swapaxes(band.blocks[: T - d, d], 1, 2)
+        columns = storage.reshape(T * n, rows + 1)
+        columns[:, 0] += np.broadcast_to(np.asarray(damping, float), (T, n)).ravel()
+        self._columns, info = lapack.dpbtrf(columns.T, lower=1, overwrite_ab=1)
+        if info != 0:
+            raise NotPositiveDefinite((info - 1) // n)
+        self.diag, self.panel = skewed[..., :n], skewed[..., n:]
         self.border: Array | None = None
         self.schur: Array | None = None
         if band.corner.shape[0]:
@@ -105,16 +89,12 @@ class Factor:
                 raise NotPositiveDefinite(T)
             self.schur = S
 
-    @staticmethod
-    def _load(band: Band, W: Array, row: int, first: int, last: int, T: int) -> None:
-        n = band.blocks.shape[2]
-        for c in range(first, last + 1):
-            if row < T:
-                W[row * n : (row + 1) * n, c * n : (c + 1) * n] = band.blocks[c, row - c]
-
     def _half_solve(self, b: Array) -> Array:
         """L^-1 b for b (T,n,g)."""
         n, k = self.n, self.k
+        if b.shape[-1] == 1:
+            return lapack.dtbtrs(self._columns, b.reshape(-1, 1), uplo="L")[0].reshape(b.shape)
+        # LAPACK takes the columns one by one; by blocks, many go through the factor at once.
         y = np.array(b)
         for t in range(self.T):
             y[t] = lapack.dtrtrs(self.diag[t], y[t], lower=0, trans=1)[0]
@@ -126,6 +106,9 @@ class Factor:
     def _back_solve(self, y: Array) -> Array:
         """L^-T y for y (T,n,g)."""
         n, k = self.n, self.k
+        if y.shape[-1] == 1:
+            x = lapack.dtbtrs(self._columns, y.reshape(-1, 1), uplo="L", trans="T")[0]
+            return x.reshape(y.shape)
         x = np.array(y)
         for t in range(self.T - 1, -1, -1):
             m = min(k, self.T - 1 - t)

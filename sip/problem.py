@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -20,6 +19,7 @@ from mocap.skeleton import Skeleton
 from sip import kinematics as kin
 from sip.band import Band
 from sip.box import Box
+from sip.over_frames import OverFrames
 from sip.prior import Conditioned
 from sip.settings import Settings
 from sip.terms.acceleration import Acceleration
@@ -46,7 +46,6 @@ class SensorKinematics:
     def __init__(self, skeleton: Skeleton, joint: NDArray[np.int64], placement: Array):
         S = len(joint)
         self.S = S
-        self._maps: dict[tuple[bool, int], ca.Function] = {}
         chains = [skeleton.ancestors(int(j)) for j in joint]
         self.active = tuple(sorted({j for chain in chains for j in chain} - {0}))
         self.n = n = 6 + 3 * len(self.active)
@@ -74,25 +73,14 @@ class SensorKinematics:
             e_u[:, 4 * s + 3] = J.T @ R_meas[:, rows].T @ ca.vertcat(0, 1, 0)
         inputs = [x, R_ref, R_meas, u]
         values = ca.horzcat(ca.vertcat(*e), ca.vertcat(*seats))
-        self.values = ca.Function("values", inputs, [values], {"cse": True})
+        self.values = OverFrames(ca.Function("values", inputs, [values], {"cse": True}))
         full = [values, ca.densify(e_x.T), ca.densify(p_x.T), ca.densify(e_u)]
-        self.full = ca.Function("full", inputs, full, {"cse": True})
-
-    def _mapped(self, jacobian: bool, T: int) -> ca.Function:
-        """The function over T frames; building the map takes longer than one evaluation."""
-        key = (jacobian, T)
-        if key not in self._maps:
-            self._maps[key] = (self.full if jacobian else self.values).map(T)
-        return self._maps[key]
+        self.full = OverFrames(ca.Function("full", inputs, full, {"cse": True}))
 
     def evaluate(
         self, x: Array, R_ref: Array, R_meas: Array, u: Array, jacobian: bool
     ) -> tuple[Array, ...]:
-        """e, p (T,S,3) and, with `jacobian`, e_x, p_x (T,S,3,n) and e_u (T,S,3,4).
-
-        The numbers go through CasADi's buffers: its own array conversion takes longer than the function.
-        CasADi is column-major, so each frame's matrices travel transposed.
-        """
+        """e, p (T,S,3) and, with `jacobian`, e_x, p_x (T,S,3,n) and e_u (T,S,3,4)."""
         T, S, n = len(x), self.S, self.n
         inputs = (
             x,
@@ -100,22 +88,12 @@ class SensorKinematics:
             np.swapaxes(R_meas, -1, -2),
             np.broadcast_to(u[:, :4], (T, S, 4)),
         )
-        shapes: list[tuple[int, ...]] = [(T, 2, S, 3)]
-        if jacobian:
-            shapes += [(T, S, 3, n), (T, S, 3, n), (T, S, 4, 3)]
-        outputs: list[Any] = [np.empty(shape) for shape in shapes]
-        buffer: Any
-        buffer, run = self._mapped(jacobian, T).buffer()
-        kept: list[Any] = [np.ascontiguousarray(a, float) for a in inputs]
-        for i, array in enumerate(kept):
-            buffer.set_arg(i, memoryview(array.reshape(-1)))
-        for i, array in enumerate(outputs):
-            buffer.set_res(i, memoryview(array.reshape(-1)))
-        run()
-        e, p = outputs[0][:, 0], outputs[0][:, 1]
+        values, *rest = (self.full if jacobian else self.values)(*inputs)
+        e, p = values.reshape(T, 2, S, 3).swapaxes(0, 1)
         if not jacobian:
             return e, p
-        return e, p, outputs[1], outputs[2], np.swapaxes(outputs[3], -1, -2)
+        e_x, p_x = (a.reshape(T, S, 3, n) for a in rest[:2])
+        return e, p, e_x, p_x, np.swapaxes(rest[2].reshape(T, S, 4, 3), -1, -2)
 
 
 @dataclass

@@ -9,6 +9,7 @@ from mocap.orientation import Array
 from sip import kinematics as kin
 from sip.band import Band
 from sip.kinematics import ROOT_P, ROOT_W
+from sip.over_frames import OverFrames
 from sip.terms.base import Point, add_diagonal_stencil, add_stencil, difference_stencil, squared
 
 
@@ -67,35 +68,27 @@ class RootSmoothness:
         w0, w1 = ca.SX.sym("w0", 3), ca.SX.sym("w1", 3)
         M = ca.SX.sym("M", 3, 3)  # R_ref_t^T R_ref_{t+1}
         v = kin.log(kin.exp(w0).T @ M @ kin.exp(w1))
-        outputs = [v, ca.densify(ca.jacobian(v, w0)), ca.densify(ca.jacobian(v, w1))]
-        self._mapped: ca.Function | None = None
-        self._frames = 0
-        self.velocity = ca.Function("velocity", [w0, w1, M], outputs)
+        inputs, slopes = [w0, w1, M], [ca.densify(ca.jacobian(v, w)) for w in (w0, w1)]
+        self._value = OverFrames(ca.Function("velocity", inputs, [v]))
+        self._slopes = OverFrames(ca.Function("velocity_slopes", inputs, slopes))
 
-    def _velocity(self, point: Point) -> tuple[Array, Array, Array]:
-        """v (T-1,3), dv/dw_t and dv/dw_{t+1} (T-1,3,3)."""
+    @staticmethod
+    def _inputs(point: Point) -> tuple[Array, Array, Array]:
         w = point.x[:, ROOT_W]
         M = np.swapaxes(point.R_ref[:-1], -1, -2) @ point.R_ref[1:]
-        n = len(M)
-        if self._mapped is None or self._frames != n:
-            self._mapped, self._frames = self.velocity.map(n), n
-        v, A, B = self._mapped(w[:-1].T, w[1:].T, M.transpose(1, 0, 2).reshape(3, 3 * n))
-        return (
-            v.full().T,
-            A.full().reshape(3, n, 3).transpose(1, 0, 2),
-            B.full().reshape(3, n, 3).transpose(1, 0, 2),
-        )
+        return w[:-1], w[1:], np.swapaxes(M, -1, -2)
 
     def residual(self, point: Point) -> Array:
         if len(point.x) <= self.reach:
             return np.zeros((0, 3))
-        return _apply(self.stencil, self._velocity(point)[0]) * self.weight
+        v = self._value(*self._inputs(point))[0][:, 0]
+        return _apply(self.stencil, v) * self.weight
 
     def loss(self, residual: Array) -> float:
         return squared(residual)
 
     def _jacobians(self, point: Point) -> dict[int, Array]:
-        _, A, B = self._velocity(point)
+        A, B = (np.swapaxes(a, -1, -2) for a in self._slopes(*self._inputs(point)))
         M = len(point.x) - self.reach
         J = {o: np.zeros((M, 3, 3)) for o in range(self.reach + 1)}
         for o, c in self.stencil.items():

@@ -108,8 +108,8 @@ def test_derivatives_where_the_first_frames_are_given(
 def test_geometric_jacobians_against_automatic_ones(rng: np.random.Generator) -> None:
     joint, seat = sensors.joints_and_seats(sensors.SUIT)
     k = SensorKinematics(Skeleton.default(), joint, seat)
-    inputs = [ca.MX.sym(f"i{i}", *k.values.size_in(i)) for i in range(4)]
-    ep = k.values(*inputs)
+    inputs = [ca.MX.sym(f"i{i}", *k.values.function.size_in(i)) for i in range(4)]
+    ep = k.values.function(*inputs)
     auto = ca.Function("auto", inputs, [ca.jacobian(ca.vec(ep), inputs[0])])
     x = rng.normal(size=(1, k.n)) * 0.6
     R_ref, R_meas = ori.exp(rng.normal(size=(1, 3))), ori.exp(rng.normal(size=(1, k.S, 3)))

@@ -1,0 +1,39 @@
+"""A CasADi function of one frame, evaluated over all frames of a sequence."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from mocap.orientation import Array
+
+
+class OverFrames:
+    """`function` mapped over frames.
+
+    The numbers go through CasADi's buffers: its own conversion of arrays takes longer than the function.
+    CasADi is column-major, so each frame's matrices travel transposed.
+    """
+
+    def __init__(self, function: ca.Function):
+        self.function = function
+        self._maps: dict[int, ca.Function] = {}
+
+    def __call__(self, *inputs: Array) -> list[Array]:
+        """Outputs (T, columns, rows) at inputs (T, columns, rows), or (T, rows) of a single column."""
+        T = len(inputs[0])
+        if T not in self._maps:  # building the map takes longer than one evaluation
+            self._maps[T] = self.function.map(T)
+        buffer: Any
+        buffer, run = self._maps[T].buffer()
+        kept: list[Any] = [np.ascontiguousarray(a, float).reshape(-1) for a in inputs]
+        for i, array in enumerate(kept):
+            buffer.set_arg(i, memoryview(array))
+        shapes = [self.function.size_out(i) for i in range(self.function.n_out())]
+        outputs: list[Any] = [np.empty((T, columns, rows)) for rows, columns in shapes]
+        for i, array in enumerate(outputs):
+            buffer.set_res(i, memoryview(array.reshape(-1)))
+        run()
+        return outputs
