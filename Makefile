@@ -59,7 +59,7 @@ bench-real: $(STAMP)
 	$(BIN)/python benchmarks/real.py
 
 bench-experiments: $(STAMP)
-	$(BIN)/python benchmarks/experiments.py share hidden augmentation noise-gap dip-tables dip-networks \
+	$(BIN)/python benchmarks/experiments.py share hidden augmentation noise-gap licence imuposer-limits dip-tables dip-networks \
 	    normalisations one-clip dip-window dip-histogram imuposer-devices imuposer-regions
 
 bench-endurance: $(STAMP)

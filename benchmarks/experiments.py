@@ -9,8 +9,9 @@ in the papers' tables.
 Trained: dip-tables (Tables 2, 3: RNN and BiRNN with and without acceleration loss and dropout, offline and
 online), dip-networks (Tables 4, 5: feed-forward, WaveNet, no accelerations), normalisations (appendix C),
 share (25, 50, 100 % of the clips), hidden (64, 128, 256), augmentation (on, off), noise-gap (clean and noisy
-training against clean and noisy test), one-clip (learnt by heart). Of given weights (--weights): dip-window
-(Fig. 6), dip-histogram (Fig. 5), imuposer-devices (Fig. 6), imuposer-regions (Fig. 8).
+training against clean and noisy test), licence (with and without Bandai's clips), imuposer-limits (clips,
+units, augmentation, Bandai), one-clip (learnt by heart). Of given weights (--weights): dip-window (Fig. 6),
+dip-histogram (Fig. 5), imuposer-devices (Fig. 6), imuposer-regions (Fig. 8).
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ from mocap import Motion, dataset
 from mocap.errors import PoserError
 from mocap.synthesis import Noise
 
-CMU_SHARE = 0.65
+SHARES = {"cmu": 0.65, "bandai": 0.35}  # of the training windows
 CLEAN = Noise.none()
 # Runs are short beside the papers': without it the last steps' noise is what is compared.
 COOLDOWN = 0.35
@@ -51,19 +52,30 @@ STRIDE = 25  # frames between those looked at (a second) where 24 combinations a
 
 @dataclass(frozen=True)
 class Variant:
-    """One network to train: a name, changes of its configuration and of the settings, share of clips."""
+    """One network to train: a name, changes of its configuration and of the settings, share of clips of
+    these corpora.
+    """
 
     name: str
     config: dict[str, Any]
     settings: dict[str, Any]
     share: float = 1.0
+    corpora: tuple[str, ...] = tuple(SHARES)
+    network: str = "dip"
 
 
-def variant(name: str, share: float = 1.0, **changes: Any) -> Variant:
-    """A variant of DIP; settings are told from the configuration by their names."""
+def variant(
+    name: str,
+    share: float = 1.0,
+    corpora: tuple[str, ...] = tuple(SHARES),
+    network: str = "dip",
+    **changes: Any,
+) -> Variant:
+    """Settings are told from the network's configuration by their names."""
     own = ("reconstruct_acc", "augmentation", "frames")
     settings = {k: v for k, v in changes.items() if k in own}
-    return Variant(name, {k: v for k, v in changes.items() if k not in own}, settings, share)
+    config = {k: v for k, v in changes.items() if k not in own}
+    return Variant(name, config, settings, share, corpora, network)
 
 
 def _tables() -> list[Variant]:
@@ -81,6 +93,7 @@ def _tables() -> list[Variant]:
     return out
 
 
+UNVARIED = replace(Augmentation.none(), noise=Noise(), noise_scale=(0.3, 1.5))
 TRAINED: dict[str, list[Variant]] = {
     "dip-tables": _tables(),
     "dip-networks": [
@@ -94,8 +107,18 @@ TRAINED: dict[str, list[Variant]] = {
     "hidden": [variant(f"{h} units", hidden=h) for h in (64, 128, 256)],
     "augmentation": [
         variant("augmented"),
-        variant("not augmented", augmentation=replace(
-            Augmentation.none(), noise=Noise(), noise_scale=(0.3, 1.5))),
+        variant("not augmented", augmentation=UNVARIED),
+    ],
+    "licence": [
+        variant("CMU and Bandai"),
+        variant("CMU alone", corpora=("cmu",)),
+    ],
+    "imuposer-limits": [
+        variant("all", network="imuposer", frames=125),
+        variant("25 % of the clips", 0.25, network="imuposer", frames=125),
+        variant("half the units", network="imuposer", frames=125, hidden=128),
+        variant("not augmented", network="imuposer", frames=125, augmentation=UNVARIED),
+        variant("CMU alone", corpora=("cmu",), network="imuposer", frames=125),
     ],
     "noise-gap": [
         variant("trained noisy"),
@@ -108,13 +131,14 @@ ONLINE = {"offline": None, "(20,5)": (20, 5), "(50,5)": (50, 5), "(20,0)": (20, 
 
 
 @cache
-def training_clips() -> corpus.Corpus:
-    parts = [corpus.read(dataset.files("train", (c,))) for c in ("cmu", "bandai")]
-    return corpus.Corpus.join(parts, (CMU_SHARE, 1 - CMU_SHARE))
+def training_clips(corpora: tuple[str, ...]) -> corpus.Corpus:
+    parts = [corpus.read(dataset.files("train", (c,))) for c in corpora]
+    return corpus.Corpus.join(parts, [SHARES[c] for c in corpora])
 
 
-def trained(v: Variant, args: argparse.Namespace, network: str = "dip") -> Model:
+def trained(v: Variant, args: argparse.Namespace) -> Model:
     """The best weights of a variant's run, trained where they are not there yet."""
+    network = v.network
     config = for_network(network, **({"hidden": args.hidden} | v.config))
     settings = TrainSettings.paper(
         network, **({"config": config, "minutes": args.minutes, "steps": args.steps, "patience": 0,
@@ -122,9 +146,12 @@ def trained(v: Variant, args: argparse.Namespace, network: str = "dip") -> Model
                      "cooldown": COOLDOWN} | v.settings)
     )  # fmt: skip
     # Named by what is trained: experiments that share a network train it once.
-    said = json.dumps([settings.to_json(), v.share], sort_keys=True)
+    what = [settings.to_json(), v.share] + ([v.corpora] if v.corpora != tuple(SHARES) else [])
+    said = json.dumps(what, sort_keys=True)
     folder = args.output / "runs" / f"{network}-{hashlib.sha256(said.encode()).hexdigest()[:10]}"
-    clips = training_clips().subset(v.share, args.seed) if v.share < 1 else training_clips()
+    clips = training_clips(v.corpora)
+    if v.share < 1:
+        clips = clips.subset(v.share, args.seed)
     source = Windows(clips, config.sensors, config.rate_hz, settings.frames, settings.augmentation)
     noise = settings.augmentation.noise
     held = cut_for(network, on_split.recorded("validation", network, noise), args.windows)
@@ -138,6 +165,9 @@ def rows_of_trained(name: str, args: argparse.Namespace) -> Iterable[dict[str, A
     """One row a variant and way of showing it the test clips."""
     for v in TRAINED[name]:
         model = trained(v, args)
+        if v.network == "imuposer":
+            yield {"variant": v.name} | over_combinations(model)
+            continue
         ways: dict[str, tuple[int, int] | None] = (
             ONLINE if name == "dip-tables" else {"(20,5)": (20, 5)}
         )
@@ -202,6 +232,13 @@ def worn(model: Model, combination: tuple[int, ...]) -> list[Motion]:
     return on_split.imuposer_motions(model, tests, combination, STRIDE)
 
 
+def over_combinations(model: Model) -> dict[str, float]:
+    """Figures of the test clips, mean over the 24 combinations."""
+    tests = on_split.recorded("test", "imuposer", Noise())
+    found = [on_split.measured(worn(model, c), tests, STRIDE) for c in COMBINATIONS]
+    return {k: float(np.mean([f[k] for f in found])) for k in found[0]}
+
+
 def rows_of_devices(model: Model) -> Iterable[dict[str, Any]]:
     """Figure 6 of IMUPoser: the 24 combinations in their 12 groups (means over a group's)."""
     tests = on_split.recorded("test", "imuposer", Noise())
@@ -249,9 +286,8 @@ def weights_for(network: str, args: argparse.Namespace) -> Model:
     if args.weights or path.exists():
         return loaded(path, network)
     print(f"no weights of {network}: one is trained", file=sys.stderr)
-    return trained(
-        Variant(network, {}, {"frames": 125} if network == "imuposer" else {}), args, network
-    )
+    frames = {"frames": 125} if network == "imuposer" else {}
+    return trained(variant(network, network=network, **frames), args)
 
 
 def main() -> None:
