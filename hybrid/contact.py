@@ -19,6 +19,8 @@ from mocap.orientation import Array
 from mocap.skeleton import TOES, Skeleton
 
 LEGS = ((1, 2), (4, 5), (7, 8), TOES)  # left and right: hip, knee, ankle, toe
+_JOINTS = np.array(LEGS)
+UP = np.array([0.0, 1.0, 0.0])
 
 
 @dataclass(frozen=True)
@@ -74,24 +76,23 @@ class Contact:
         self.noise = noise or ContactNoise()
         rest = skeleton.rest_positions
         floor = rest[list(TOES), 1].min() - skeleton.sole
-        self._offsets = skeleton.offsets
+        # T_parent_joint (4,2,4,4) of the legs at rest, in whose place each frame's rotations are put.
+        self._legs = np.tile(np.eye(4), (4, 2, 1, 1))
+        self._legs[..., :3, 3] = skeleton.offsets[_JOINTS]
         # The sole is flat in the rest pose: each point lies straight under its joint.
-        self._under = np.zeros((2, 2, 3))
-        self._under[..., 1] = floor - rest[np.array(LEGS[2:]), 1]
+        self._under = np.zeros((2, 2, 4, 1))
+        self._under[..., 1, 0] = floor - rest[_JOINTS[2:], 1]
+        self._under[..., 3, 0] = 1.0
 
     def soles(self, R_parent_joint: Array) -> Array:
         """(2,2,3) m: points under ankle and toe (first axis) of left and right, relative to the
         pelvis joint, world axes, of local rotations (24,3,3).
         """
-        R, p = R_parent_joint[[0, 0]], np.zeros((2, 3))
-        out = np.empty((2, 2, 3))
-        for k, pair in enumerate(LEGS):
-            joints = list(pair)
-            p = p + np.einsum("fij,fj->fi", R, self._offsets[joints])
-            R = R @ R_parent_joint[joints]
-            if k >= 2:
-                out[k - 2] = p + np.einsum("fij,fj->fi", R, self._under[k - 2])
-        return out
+        T = self._legs.copy()
+        T[..., :3, :3] = R_parent_joint[_JOINTS]
+        T_root_ankle = T[0] @ T[1] @ T[2]
+        T_root_foot = np.stack([T_root_ankle, T_root_ankle @ T[3]])
+        return (T_root_foot @ self._under)[..., :3, 0] @ R_parent_joint[0].T
 
     def step(
         self,
@@ -120,35 +121,38 @@ class Contact:
         v = state.v + acc * dt
         S = 2 * sigma**2 * memory
         # Exact for white acceleration of density S: see `hybrid.motion_filter`.
-        step = np.array([[1.0, 2 * dt, dt**2], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])
-        P = step @ state.covariance + S * np.array([[dt**3 / 3], [dt**2 / 2], [dt]])
+        pp, pv, vv = state.covariance
+        pp = pp + 2 * dt * pv + dt**2 * vv + S * dt**3 / 3
+        pv = pv + dt * vv + S * dt**2 / 2
+        vv = vv + S * dt
         # Of each foot the point that stands is the lower one.
         lower = soles[..., 1].argmin(axis=0)
         foot = soles[lower, [0, 1]]
         velocity = (foot - state.soles[lower, [0, 1]]) / dt
-        standing = self._standing(foot[:, 1] - lowest, velocity, v, acc, P)
-        for k in range(2):
-            variance = n.foot_speed**2 / max(standing[k], 1e-3) ** 4
-            gain = P[1:] / (P[2] + variance)
-            error = -velocity[k] - v
-            p, v = p + gain[0] * error, v + gain[1] * error
-            P = P - np.stack([gain[0] * P[1], gain[0] * P[2], gain[1] * P[2]])
-        up = np.array([0.0, 1.0, 0.0])
+        standing = self._standing(foot[:, 1] - lowest, velocity, v, acc, vv)
+        for belief, v_foot in zip(standing, velocity, strict=True):
+            total = vv + n.foot_speed**2 / max(belief, 1e-3) ** 4
+            gain_p, gain_v = pv / total, vv / total
+            error = -v_foot - v
+            p, v = p + gain_p * error, v + gain_v * error
+            pp, pv, vv = pp - gain_p * pv, pv - gain_p * vv, vv - gain_v * vv
         # Whoever is below the ground by more than the ground is uncertain, is not: standing or not.
         sure = 1.0 if p[1] < -lowest - n.ground else max(standing.max(), 1e-3)
-        gain = P[:2] / (P[0] + n.ground**2 / sure**4) * up
+        total = pp + n.ground**2 / sure**4
+        gain_p, gain_v = UP * pp / total, UP * pv / total
         error = -lowest - p
-        p, v = p + gain[0] * error, v + gain[1] * error
-        P = P - np.stack([gain[0] * P[0], gain[0] * P[1], gain[1] * P[1]])
-        return RootState(p, v, P, soles, standing)
+        p, v = p + gain_p * error, v + gain_v * error
+        covariance = np.stack([pp - gain_p * pp, pv - gain_p * pv, vv - gain_v * pv])
+        return RootState(p, v, covariance, soles, standing)
 
     def _standing(
-        self, height: Array, velocity: Array, v_root: Array, acc: Array, P: Array
+        self, height: Array, velocity: Array, v_root: Array, acc: Array, vv: Array
     ) -> Array:
         """(2,): belief that each foot stands, from its height, its speed and the body's fall."""
         n = self.noise
-        speed = np.linalg.norm(velocity + v_root, axis=1)
+        speed_squared = ((velocity + v_root) ** 2).sum(axis=1)
         # An uncertain root velocity makes every foot look fast: that much proves nothing.
-        allowed = n.speed**2 + P[2].sum()
-        falling = np.clip(-acc[1] / (n.fall * ori.GRAVITY), 0.0, 1.0)
-        return np.exp(-((height / n.height) ** 2) / 2 - speed**2 / allowed / 2) * (1 - falling**4)
+        allowed = n.speed**2 + vv.sum()
+        falling = min(max(-acc[1] / (n.fall * ori.GRAVITY), 0.0), 1.0)
+        doubt = (height / n.height) ** 2 + speed_squared / allowed
+        return np.exp(-doubt / 2) * (1 - falling**4)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -36,19 +37,19 @@ def clean(sample: Any, sensors: int, expected_s: float) -> tuple[Sample, dict[st
         valid = np.zeros(sensors)
     said = valid > 0
     # Past 2 no entry belongs to a rotation; clipped first, huge numbers cannot overflow in the check.
-    turns = np.asarray((np.abs(R) < 2).all((-1, -2)))
-    if not ori.is_rotation(R[turns], 1e-9).all():
+    turns = (np.abs(R) < 2).all((-1, -2))
+    if not _exact(R[turns]):
         turns[turns] = ori.is_rotation(R[turns])
         R[turns] = ori.project(R[turns])
-    moves = np.isfinite(acc).all(-1) & (np.abs(acc) <= LARGEST_ACC).all(-1)
+    moves = (np.abs(acc) <= LARGEST_ACC).all(-1)
     broken = int((said & ~turns & np.isfinite(R).all((-1, -2))).sum())
     if broken:
         events["not a rotation"] = broken
     valid_now = said & (turns | moves)
     if not valid_now.all():
         events["sensor lost"] = int((~valid_now).sum())
-    R = np.where((valid_now & turns)[:, None, None], R, np.nan)
-    acc = np.where((valid_now & moves)[:, None], acc, np.nan)
+    R[~(valid_now & turns)] = np.nan
+    acc[~(valid_now & moves)] = np.nan
     return Sample(time_s, R, acc, valid_now), events
 
 
@@ -57,9 +58,9 @@ def proposal(pose: Any) -> Pose | None:
     time_s = _number(getattr(pose, "time_s", None))
     R = _array(getattr(pose, "R_parent_joint", None), (24, 3, 3))
     p = _array(getattr(pose, "p_world_root", None), (3,))
-    if time_s is None or R is None or not np.isfinite(R).all() or not (np.abs(R) < 10).all():
+    if time_s is None or R is None or not (np.abs(R) < 10).all():
         return None
-    if not ori.is_rotation(R, 1e-9).all():
+    if not _exact(R):
         # A matrix that is far from any rotation has no nearest one worth the name.
         if not (np.linalg.det(R) > 0.1).all():
             return None
@@ -80,6 +81,12 @@ def sample_at(samples: Sequence[Sample], time_s: float, tolerance_s: float) -> S
     return best
 
 
+def _exact(R: Array) -> bool:
+    """Whether all matrices (N,3,3) of bounded entries are rotations but for rounding."""
+    off = np.abs(R.mT @ R - np.eye(3)).max(initial=0.0)
+    return bool(off <= 1e-9 and (np.linalg.det(R) > 0).all())
+
+
 def _covariance(pose: Any) -> Array | None:
     """The stated covariance itself (its identity tells that it has not changed), or None where it is none."""
     C = getattr(pose, "covariance", None)
@@ -94,7 +101,7 @@ def _number(x: Any) -> float | None:
         value = float(x)
     except (TypeError, ValueError):
         return None
-    return value if np.isfinite(value) else None
+    return value if math.isfinite(value) else None
 
 
 def _array(x: Any, shape: tuple[int, ...]) -> Array | None:

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
+from hybrid import rotations
+from mocap import orientation as ori
 from mocap.orientation import Array
 from mocap.skeleton import Skeleton
 
@@ -44,6 +46,11 @@ class Kinematics:
         model = skeleton.pin_model
         self._model, self._data = model, model.createData()
         self._ids = [skeleton.pin_ids[j] for j in self.joint]
+        self._seats = np.column_stack([self.seat, np.ones(len(self.joint))])[..., None]
+        # Where each joint's quaternion stands in Pinocchio's q: the root's after its position.
+        q_starts = [model.joints[i].idx_q for i in skeleton.pin_ids]
+        q_starts[0] += 3
+        self._quaternions = np.array(q_starts)[:, None] + np.arange(4)
         starts = [model.joints[skeleton.pin_ids[j]].idx_v + (0 if j else 3) for j in free]
         self._columns = np.array([s + k for s in starts for k in range(3)], int)
         above = [[f in skeleton.ancestors(int(j)) for f in free] for j in self.joint]
@@ -57,18 +64,14 @@ class Kinematics:
 
     def at(self, R_parent_joint: Array) -> Configuration:
         """Poses and Jacobians of the points at local rotations (24,3,3); one tree sweep."""
-        q = self.skeleton.pin_configuration(R_parent_joint, np.zeros(3))
+        q = np.zeros(self._model.nq)
+        q[self._quaternions] = ori.to_quat(R_parent_joint, scalar_first=False)
         # Columns of the world Jacobian: a spatial velocity at the world's origin, linear part first.
-        J = pin.computeJointJacobians(self._model, self._data, q)[:, self._columns]
-        R = np.array([self._data.oMi[i].rotation for i in self._ids]).reshape(-1, 3, 3)
-        p = np.array([self._data.oMi[i].translation for i in self._ids]).reshape(-1, 3)
-        p += np.einsum("sij,sj->si", R, self.seat)
-        J_rotation = self._reach * J[3:]
-        # v(x) = v(origin) + omega x x.
-        turned = np.empty_like(J_rotation)
-        x, y, z = (p[:, i, None] for i in range(3))
-        wx, wy, wz = (J[3 + i] for i in range(3))
-        turned[:, 0] = wy * z - wz * y
-        turned[:, 1] = wz * x - wx * z
-        turned[:, 2] = wx * y - wy * x
-        return Configuration(R, p, J_rotation, self._reach * (J[:3] + turned))
+        J = pin.computeJointJacobians(self._model, self._data, q).take(self._columns, axis=1)
+        linear, angular = J[:3], J[3:]
+        placed = self._data.oMi
+        T = np.array([placed[i].homogeneous for i in self._ids]).reshape(-1, 4, 4)
+        p = (T @ self._seats)[:, :3, 0]
+        # v(p) = v(origin) + omega x p.
+        moved = linear - rotations.hat(p) @ angular
+        return Configuration(T[:, :3, :3], p, self._reach * angular, self._reach * moved)

@@ -22,9 +22,9 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dpotrf, dpotri
+from scipy.linalg.lapack import dpotrf, dtrtri
 
-from hybrid import limits, motion_filter, tasks
+from hybrid import limits, motion_filter, rotations, tasks
 from hybrid.kinematics import Configuration, Kinematics
 from hybrid.limb_qp import Answer, LimbQP
 from hybrid.settings import TrackerSettings
@@ -95,7 +95,7 @@ def smoothed(
     """
     theta = np.exp(-dt / memory_s)
     ahead = R_before @ ori.exp(turn * dt)
-    i = ori.log(ahead.transpose(0, 2, 1) @ R_now)
+    i = rotations.log(ahead.mT @ R_now)
     return ahead @ ori.exp((1 - theta**2) * i), turn + (1 - theta) ** 2 * i / dt
 
 
@@ -130,11 +130,21 @@ class Refinement:
         self.qp = LimbQP(3 * len(self.free)) if self.free else None
         lower, upper = limits.ranges()
         self._lower, self._upper = lower[self._free], upper[self._free]
-        self._limited = np.array([j != 0 for j in self.free], bool)
+        self._limited = np.array([j != 0 for j in self.free], bool)[:, None]
         self._scale, self._plain = (
-            np.broadcast_to(np.asarray(x, float), 24)[self._free][:, None]
+            np.tile(np.broadcast_to(np.asarray(x, float), 24)[self._free], (3, 1)).T
             for x in (settings.network_scale, np.deg2rad(settings.network_sigma_deg))
         )
+        self._floor, self._ceiling, self._sigma, self._rate, self._step = np.deg2rad(
+            [
+                settings.network_floor_deg,
+                settings.network_ceiling_deg,
+                settings.orientation_sigma_deg,
+                settings.rate_limit_deg_s,
+                settings.step_sigma_deg,
+            ]
+        )
+        self._identity = np.eye(3 * len(self.free))
         self._limbs = self.joint != 0
         # The covariance seen last and what follows from it: a cache, nothing that a frame hands on.
         self._known: tuple[Array, tuple[Array, Array] | None] | None = None
@@ -158,26 +168,23 @@ class Refinement:
 
         The pose must be orthonormal, valid samples finite and orthonormal, dt positive.
         """
-        R_net, turn = np.array(pose.R_parent_joint), np.zeros((len(pose.R_parent_joint), 3))
-        memory_s = self.settings.network_memory_s
-        if memory_s > 0 and memory.R_net is not None and memory.turn is not None:
-            R_net, turn = smoothed(memory.R_net, memory.turn, R_net, dt, memory_s)
-        memory = replace(memory, R_net=R_net.copy(), turn=turn)
+        R_net, turn = self._smoothed(memory, pose, dt)
         seen = sample.valid & np.isfinite(sample.R_world_bone).all((-1, -2))
+        kept = R_net.copy()
         root = self._measured_root(R_net, sample, seen, memory, dt)
         motion = self._predicted(memory.motion, sample, dt)
-        memory = replace(memory, root=root, motion=motion)
+        memory = replace(memory, root=root, motion=motion, R_net=kept, turn=turn)
         unseen = "" if seen.any() else NO_MEASUREMENT
         if self.qp is None:
             return memory, Refined(R_net, pose.std_rad, unseen, {}, None)
-        R = R_net.copy()
+        R, R_free = R_net.copy(), R_net[self._free]
         coast = np.exp(-dt / self.settings.step_memory_s) * memory.step
         before, onward = ori.exp(np.stack([memory.xi, coast]))
         ahead = before @ onward
-        R[self._free] = R_net[self._free] @ ahead
+        R[self._free] = R_now = R_free @ ahead
         at = self.kinematics.at(R)
-        charts = self._charts(ahead, R_net, R, memory)
-        terms, refused, events = self._terms(at, charts.xi, memory, pose, sample, seen, dt)
+        charts = self._charts(ahead, R_free, R_now, memory)
+        terms, refused, events = self._terms(at, charts.xi, memory, pose, sample, seen)
         H, g = tasks.normal_equations(terms)
         answer, dv = self._solve(self.qp, H, g, charts, dt)
         if not answer.ok:
@@ -186,14 +193,23 @@ class Refinement:
             memory = replace(memory, xi=still, step=still, R_free=R_net[self._free])
             return memory, Refined(R_net, pose.std_rad, NOT_CONVERGED, events, answer)
         after = ahead @ ori.exp(dv)
-        R[self._free] = R_net[self._free] @ after
-        xi, step = ori.log(np.stack([after, before.transpose(0, 2, 1) @ after]))
-        motion, refused_s, restarted = self._follow(memory, at, dv, refused, sample, dt)
-        events["filter restarted"] = restarted
+        R[self._free] = R_now = R_free @ after
+        xi, step = rotations.log(np.stack([after, before.mT @ after]))
+        motion, refused_s, events["filter restarted"] = self._follow(
+            memory, at, dv, refused, sample, dt
+        )
         memory = replace(
-            memory, xi=xi, step=step, R_free=R[self._free], motion=motion, refused_s=refused_s
+            memory, xi=xi, step=step, R_free=R_now, motion=motion, refused_s=refused_s
         )
         return memory, Refined(R, self._deviation(pose, H), unseen, events, answer)
+
+    def _smoothed(self, memory: Memory, pose: Pose, dt: float) -> tuple[Array, Array]:
+        """The network's pose (24,3,3) without its tremble and its turning rates (24,3) rad/s."""
+        memory_s = self.settings.network_memory_s
+        if memory_s > 0 and memory.R_net is not None and memory.turn is not None:
+            return smoothed(memory.R_net, memory.turn, pose.R_parent_joint, dt, memory_s)
+        R = np.array(pose.R_parent_joint)
+        return R, np.zeros((len(R), 3))
 
     def _measured_root(
         self, R_net: Array, sample: Sample, seen: np.ndarray, memory: Memory, dt: float
@@ -206,7 +222,7 @@ class Refinement:
             return memory.root
         if seen[self.pelvis]:
             R = sample.R_world_bone[self.pelvis]
-            correction = ori.log(R_net[0].T @ R)
+            correction = rotations.log(R_net[0].T @ R)
             R_net[0] = R
             return correction
         correction = memory.root * np.exp(-dt / ROOT_OFFSET_S)
@@ -216,7 +232,7 @@ class Refinement:
     def _predicted(
         self, motion: motion_filter.SensorMotion, sample: Sample, dt: float
     ) -> motion_filter.SensorMotion:
-        if self.pelvis is None:
+        if self.pelvis is None or not self.settings.positions:
             return motion
         acc = np.where(sample.valid[:, None], sample.acc_world, np.nan)
         return motion_filter.predict(motion, acc - acc[self.pelvis], dt, self.settings.filter_noise)
@@ -229,20 +245,17 @@ class Refinement:
         pose: Pose,
         sample: Sample,
         seen: np.ndarray,
-        dt: float,
     ) -> tuple[list[tasks.Term], np.ndarray, dict[str, int]]:
         """All evidence at this configuration, the predictions refused (S,), counts of what was left out."""
         s = self.settings
         sigma, whitener = self._network_errors(pose)
         terms = [tasks.network(xi, whitener)]
         use = np.flatnonzero(seen & self._limbs)
-        term, angle = tasks.orientation(
-            at, use, sample.R_world_bone[use], np.deg2rad(s.orientation_sigma_deg)
-        )
+        term, angle = tasks.orientation(at, use, sample.R_world_bone[use], self._sigma)
         terms.append(term)
         refused = np.zeros(len(self.joint), bool)
-        use = np.flatnonzero(memory.motion.running & self._limbs)
-        if self.pelvis is not None and len(use):
+        if self.pelvis is not None and s.positions:
+            use = np.flatnonzero(memory.motion.running & self._limbs)
             p, J = tasks.relative_position(at, self.pelvis)
             placed = tasks.position(
                 p[use],
@@ -259,14 +272,12 @@ class Refinement:
         events = {"orientation refused": turned, "position refused": int(refused.sum())}
         return terms, refused, events
 
-    def _charts(self, ahead: Array, R_net: Array, R: Array, memory: Memory) -> Charts:
-        """All logarithms that this frame's problem needs, in one call."""
-        R_now, R_free = R[self._free], R_net[self._free]
+    def _charts(self, ahead: Array, R_free: Array, R_now: Array, memory: Memory) -> Charts:
+        """All logarithms that this frame's problem needs, in one call; of the free joints (F,3,3) each."""
+        R = [ahead, R_now, R_free]
         if memory.R_free is None:
-            xi, theta, proposed = ori.log(np.stack([ahead, R_now, R_free]))
-            return Charts(xi, theta, proposed, None)
-        back = R_now.transpose(0, 2, 1) @ memory.R_free
-        return Charts(*ori.log(np.stack([ahead, R_now, R_free, back])))
+            return Charts(*rotations.log(np.stack(R)), None)
+        return Charts(*rotations.log(np.stack([*R, R_now.mT @ memory.R_free])))
 
     def _solve(
         self, qp: LimbQP, H: Array, g: Array, charts: Charts, dt: float
@@ -276,17 +287,19 @@ class Refinement:
         H, g: the evidence in tangent steps; the damping comes on top of it.
         """
         theta = charts.theta
-        # The root's rotation vector has no limits and may pass the half turn: its chart is its tangent.
-        B: Array = np.where(self._limited[:, None, None], ori.right_jacobian(theta), np.eye(3))
+        # The root's rotation vector has no limits and may pass the half turn: its chart is its tangent,
+        # the chart of a joint at rest.
+        chart = theta * self._limited
+        B = rotations.right_jacobian(chart)
         centre, reach = np.zeros_like(theta), np.inf
         if charts.back is not None:
-            centre[:] = np.linalg.solve(B, charts.back[..., None])[..., 0]
-            reach = np.deg2rad(self.settings.rate_limit_deg_s) * dt
+            centre = _times(rotations.right_jacobian_inv(chart), charts.back)
+            reach = self._rate * dt
         low, high = tasks.box(theta, charts.proposed, self._lower, self._upper, centre, reach)
-        damped = H + np.eye(len(H)) / (np.deg2rad(self.settings.step_sigma_deg) ** 2 * dt)
+        damped = H + self._identity / (self._step**2 * dt)
         H, g = tasks.in_rotation_vectors(damped, g, B)
         answer = qp.solve(H, g, low.ravel(), high.ravel())
-        return answer, np.einsum("fij,fj->fi", B, answer.x.reshape(theta.shape))
+        return answer, _times(B, answer.x.reshape(theta.shape))
 
     def _follow(
         self,
@@ -331,7 +344,7 @@ class Refinement:
         """`_network_errors` of a covariance (72,72); None where it is not one."""
         rows = (3 * np.array(self._free)[:, None] + np.arange(3)).ravel()
         C = covariance[np.ix_(rows, rows)]
-        C = C + np.deg2rad(self.settings.network_floor_deg) ** 2 * np.eye(len(C))
+        C = C + self._floor**2 * self._identity
         try:
             whitener = np.linalg.inv(np.linalg.cholesky(C))
         except np.linalg.LinAlgError:  # not positive definite
@@ -340,13 +353,12 @@ class Refinement:
 
     def _network_sigma(self, pose: Pose) -> Array:
         """(F,3) rad: the network's deviation of the free joints, scaled and kept in bounds."""
-        s = self.settings
-        sigma = np.repeat(self._plain, 3, axis=1)
+        sigma = self._plain
         if pose.std_rad is not None:
-            stated = np.asarray(pose.std_rad, float)[self._free]
+            stated = pose.std_rad[self._free]
             known = np.isfinite(stated) & (stated > 0)
             sigma = np.where(known, stated * self._scale, sigma)
-        return np.clip(sigma, np.deg2rad(s.network_floor_deg), np.deg2rad(s.network_ceiling_deg))
+        return np.minimum(np.maximum(sigma, self._floor), self._ceiling)
 
     def _deviation(self, pose: Pose, H: Array) -> Array | None:
         """(24,3) rad: for the free joints sqrt(diag(H^-1)), for the others the network's.
@@ -356,9 +368,15 @@ class Refinement:
         """
         if pose.std_rad is None:
             return None
-        inverse, bad = dpotri(dpotrf(H, lower=0, clean=0)[0], lower=0)
+        factor, bad = dpotrf(H)  # H = U^T U, so H^-1 = U^-1 U^-T
         if bad:
             return pose.std_rad
+        inverse = dtrtri(factor)[0]
         out = np.array(pose.std_rad, float)
-        out[self._free] = np.sqrt(np.diag(inverse)).reshape(-1, 3)
+        out[self._free] = np.sqrt(np.vecdot(inverse, inverse)).reshape(-1, 3)
         return out
+
+
+def _times(M: Array, v: Array) -> Array:
+    """M v (F,3) of matrices (F,3,3) and vectors (F,3)."""
+    return (M @ v[..., None])[..., 0]

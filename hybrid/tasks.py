@@ -10,10 +10,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
 
+from hybrid import rotations
 from hybrid.kinematics import Configuration
-from mocap import orientation as ori
 from mocap.orientation import Array
 
 # Past this angle the logarithm's gradient points the wrong way as soon as noise crosses the half turn.
@@ -32,21 +31,16 @@ def orientation(
 ) -> tuple[Term, Array]:
     """Log(R_measured^T R_world_bone) / sigma of the points `point`, sigma in rad.
 
-    R(dv) = R Exp(R^T J_rotation dv), so the Jacobian is Jlog3(R_measured^T R) R^T J_rotation. Also
+    R(dv) = R Exp(R^T J_rotation dv), so the Jacobian is J_r^-1(Log(R_measured^T R)) R^T J_rotation. Also
     returns the angles (m,) rad; a term whose angle exceeds MAX_ANGLE is left out (zero).
     """
-    n = at.J_rotation.shape[-1]
-    e, J = np.zeros((len(point), 3)), np.zeros((len(point), 3, n))
-    angle = np.zeros(len(point))
-    for i, s in enumerate(point):
-        R = at.R_world_bone[s]
-        difference = R_measured[i].T @ R
-        w = pin.log3(difference)
-        angle[i] = np.linalg.norm(w)
-        if angle[i] <= MAX_ANGLE:
-            e[i] = w / sigma
-            J[i] = (pin.Jlog3(difference) / sigma) @ (R.T @ at.J_rotation[s])
-    return Term(e.ravel(), J.reshape(-1, n)), angle
+    R = at.R_world_bone[point]
+    w = rotations.log(R_measured.mT @ R)
+    angle = rotations.norm(w)
+    weight = (angle <= MAX_ANGLE) / sigma
+    turning = rotations.right_jacobian_inv(w) * weight[:, None, None] @ R.mT
+    J = turning @ at.J_rotation[point]
+    return Term((w * weight[:, None]).ravel(), J.reshape(-1, J.shape[-1])), angle
 
 
 def relative_position(at: Configuration, origin: int) -> tuple[Array, Array]:
@@ -91,7 +85,7 @@ def network(xi: Array, whitener: Array) -> Term:
     """
     F = len(xi)
     J = np.zeros((F, 3, F, 3))
-    J[np.arange(F), :, np.arange(F), :] = ori.right_jacobian_inv(xi)
+    J[np.arange(F), :, np.arange(F), :] = rotations.right_jacobian_inv(xi)
     return Term(whitener @ xi.ravel(), whitener @ J.reshape(3 * F, 3 * F))
 
 

@@ -115,7 +115,7 @@ class Tracker:
         if reason:
             counts[reason] += 1
             counts["fallback"] += 1
-        pose = replace(pose, note="; ".join(n for n in (reason, pose.note) if n))
+            pose = replace(pose, note="; ".join(n for n in (reason, pose.note) if n))
         return replace(state, last=pose, counts=dict(counts)), pose
 
     def _ask(self, state: Any, sample: Sample) -> tuple[Any, Pose | None, str]:
@@ -146,18 +146,18 @@ class Tracker:
             return state, pose, NO_SAMPLE
         before, period = state.refined_s, 1 / self.rate_hz
         dt = period if before is None else pose.time_s - before
-        state = replace(state, refined_s=pose.time_s)
         if not 0 < dt <= max(self.settings.gap_s, 1.5 * period):
             root = replace(state.root, soles=None)
-            state = replace(state, memory=self.refinement.start(), root=root)
+            memory = self.refinement.start()
+            state = replace(state, refined_s=pose.time_s, memory=memory, root=root)
             return state, pose, TIME_GAP if dt > 0 else TIME_BACK
         memory, refined = self.refinement.refine(state.memory, pose, sample, dt)
         counts.update(refined.events)
-        state = replace(state, memory=memory)
-        p = pose.p_world_root
+        root, p = state.root, pose.p_world_root
         if self.settings.translation:
-            root = self._located(state.root, refined.R_parent_joint, p, sample, dt)
-            state, p = replace(state, root=root), root.p
+            root = self._located(root, refined.R_parent_joint, p, sample, dt)
+            p = root.p
+        state = replace(state, refined_s=pose.time_s, memory=memory, root=root)
         out = Pose(pose.time_s, refined.R_parent_joint, p, refined.std_rad, pose.note)
         return state, out, refined.reason
 

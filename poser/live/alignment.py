@@ -19,6 +19,7 @@ from mocap import orientation as ori
 from mocap.calibration import Calibration, PoseName, calibrate
 from mocap.errors import CalibrationError, FormatError
 from mocap.estimator import Sample
+from mocap.formats._files import check_regular
 from mocap.orientation import Array
 from mocap.recording import RawRecording
 from mocap.static_pose import Window, average
@@ -52,6 +53,7 @@ def read(path: Path) -> Calibration:
 
     Raises FormatError where the file holds none.
     """
+    check_regular(path)
     try:
         if path.suffix.lower() == ".json":
             return Calibration.from_json(path.read_text(encoding="utf-8"))

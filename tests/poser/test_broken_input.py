@@ -136,6 +136,16 @@ def test_a_pipe(suffix: str, tmp_path: Path, refusal: Refusal) -> None:
 
 
 @pytest.mark.timeout(60)
+def test_a_pipe_as_calibration(tmp_path: Path, refusal: Refusal) -> None:
+    path = tmp_path / "pipe.json"
+    os.mkfifo(path)
+    status, sentence = refusal(
+        "live", "--source", "udp:9123", "--method", "dip", "--calibration", path
+    )
+    assert status == 1 and f"{path}: is a pipe" in sentence
+
+
+@pytest.mark.timeout(60)
 def test_a_device(refusal: Refusal, tmp_path: Path) -> None:
     """One that never ends, under a name that has a format."""
     path = tmp_path / "zero.mat"
