@@ -57,3 +57,21 @@ def during(motion: Motion, recording: Recording) -> Motion:
             f"it covers"
         )
     return cut(motion, begin, end)
+
+
+def placed(path: Path, motion: Motion, whole: Recording, window: Recording, first: int) -> Motion:
+    """The part of `motion`, of the file `path`, that goes with a window of a recording.
+
+    By its time where the file states one; else of a motion as long as the whole recording, the frames from
+    `first` (the window's first) on. A motion of another length is left as it is.
+    """
+    from mocap.formats import native
+
+    if native.states_start(path):
+        return during(motion, window)
+    if len(window) == len(whole):
+        return motion
+    motion = motion.resampled(whole.rate_hz)
+    if abs(len(motion) - len(whole)) <= 1:
+        return motion.slice(first, first + len(window))
+    return motion

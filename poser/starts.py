@@ -51,16 +51,11 @@ def _of_file(path: Path, whole: Recording, window: Recording, first: int) -> Mot
     """A motion file at the recording's rate: by its time where it states one, else of the whole recording or
     of the window.
     """
-    from mocap.formats import native
     from poser import clock
 
-    found, frames = files.motion(path), len(window)
+    found, frames = files.motion(path).resampled(whole.rate_hz), len(window)
     with files.about(path):
-        found = found.resampled(whole.rate_hz)
-        if native.states_start(path):
-            found = clock.during(found, window)
-    if len(found) == len(whole):
-        return found.slice(first, first + frames)
+        found = clock.placed(path, found, whole, window, first)
     if len(found) != frames:
         raise PoserError(
             f"{path}: {len(found)} frames at {whole.rate_hz:g} Hz, expected as many as the "

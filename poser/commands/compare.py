@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import itertools
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,8 +31,6 @@ from poser.console import (
 )
 
 if TYPE_CHECKING:
-    from mocap.motion import Motion
-    from mocap.recording import Recording
     from poser.comparison import Job
     from poser.results import Compared, Lost
 
@@ -91,7 +89,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def run(args: Namespace) -> int:
-    from poser import batch, comparison, earlier, results
+    from poser import batch, comparison, earlier, reporting, results
 
     if args.cluster and args.jobs > 1:
         raise UsageError("argument --cluster: not with --jobs, the scheduler decides")
@@ -128,7 +126,7 @@ def run(args: Namespace) -> int:
         record["motions"] = {c.name: str(where[c.name].relative_to(args.output)) for c in measured}
         files.write_text(args.output / "results.json", json_text(record) + "\n")
         facts = _facts(args, jobs, found)
-        write_report(args.output, _title(found), found, record["mean"], facts)
+        reporting.write_report(args.output, _title(found), found, record["mean"], facts)
     for sentence in results.failures(found):
         note(sentence)
     if args.json:
@@ -152,7 +150,7 @@ def _check_inputs(args: Namespace, outputs: list[Path]) -> None:
 
 def _jobs(args: Namespace) -> list[Job]:
     from mocap.skeleton import Skeleton
-    from poser import comparison
+    from poser import clock, comparison
     from poser.commands.solve import cut_window
 
     reference: Any = args.reference
@@ -172,7 +170,9 @@ def _jobs(args: Namespace) -> list[Job]:
             window, first = cut_window(recording, args.begin, args.end)
         truth = reference
         if not isinstance(truth, str | None):
-            truth = _part(Path(args.reference), truth, recording, window, first)
+            source = Path(args.reference)
+            with files.about(source):
+                truth = clock.placed(source, truth, recording, window, first)
         if truth is None and recording.reference is None:
             raise PoserError(
                 f"{path}: holds no reference motion; give --reference MOTION, or sip-all for SIP on all "
@@ -193,23 +193,6 @@ def _jobs(args: Namespace) -> list[Job]:
             files.note_gaps(path, window.select(read), recording)
         jobs.append(job)
     return jobs
-
-
-def _part(path: Path, reference: Motion, whole: Recording, window: Recording, first: int) -> Motion:
-    """The window of a reference, whose first frame is `first`: by its time where the file states one, else
-    of a reference of the whole recording; one of the window's own length is left."""
-    from mocap.formats import native
-    from poser import clock
-
-    if native.states_start(path):
-        with files.about(path):
-            return clock.during(reference, window)
-    if len(window) == len(whole):
-        return reference
-    reference = reference.resampled(whole.rate_hz)
-    if abs(len(reference) - len(whole)) <= 1:
-        return reference.slice(first, first + len(window))
-    return reference
 
 
 def _names(paths: list[Path]) -> list[str]:
@@ -239,60 +222,8 @@ def _title(found: Sequence[Lost | Compared]) -> str:
     return f"Comparison on {len(found)} recordings"
 
 
-def write_report(
-    folder: Path,
-    title: str,
-    found: Sequence[Compared | Lost],
-    mean: dict[str, Any],
-    facts: dict[str, str],
-    extra: tuple[tuple[Path, str], ...] = (),
-) -> None:
-    """Pictures and report.html in `folder`; `extra` pictures come first."""
-    from poser import comparison, pictures, report, results
-
-    failures, found = results.failures(found), results.measured(found)
-    shown = list(extra)
-    worst = comparison.worst(found)
-    if worst:
-        pictures.save(pictures.pairs(worst), folder / "worst.png")
-        caption = "The worst frames of each method: its skeleton, and the reference in grey."
-        shown.append((folder / "worst.png", caption))
-    bars = comparison.joint_means(found)
-    if bars:
-        pictures.save(pictures.joints(bars), folder / "joints.png")
-        shown.append((folder / "joints.png", "Mean global angle of each joint, nothing masked."))
-    if len(found) == 1:
-        curves = {n: m.metrics for n, m in found[0].methods.items()}
-        pictures.save(pictures.errors(curves), folder / "errors.png")
-        shown.append((folder / "errors.png", "Error over time; in brackets the mean."))
-    facts = facts | {"Computed with": report.environment()}
-    files.write_text(
-        folder / "report.html", report.page(title, found, mean, shown, facts, failures)
-    )
-
-
-def noise_words(recording: Recording) -> str:
-    """The sizes of the noise that a recording was synthesised with, as far as its notes are readable."""
-    sigma = (recording.noise or {}).get("sigma")
-    if not isinstance(sigma, Mapping):
-        return "of sizes that its notes do not tell"
-    sizes = {str(k): _size(v) for k, v in sigma.items()}
-    known = [f"{k} {v:g}" for k, v in sizes.items() if v is not None]
-    odd = [k for k, v in sizes.items() if v is None]
-    if odd:
-        known.append(f"{', '.join(odd)} not a number in its notes")
-    return ", ".join(known)
-
-
-def _size(value: Any) -> float | None:
-    try:
-        return float(value)
-    except (TypeError, ValueError, OverflowError):
-        return None
-
-
 def _facts(args: Namespace, jobs: list[Job], found: Sequence[Compared | Lost]) -> dict[str, str]:
-    from poser import comparison
+    from poser import comparison, reporting
 
     first = jobs[0]
     seconds = sum(j.recording.seconds for j in jobs)
@@ -309,7 +240,7 @@ def _facts(args: Namespace, jobs: list[Job], found: Sequence[Compared | Lost]) -
         facts["IMUPoser's devices"] = "; ".join(devices)
     facts["SOP and SIP"] = f"solver {args.solver}, default settings"
     if first.recording.noise:
-        facts["Noise of the first, 1 sigma"] = noise_words(first.recording)
+        facts["Noise of the first, 1 sigma"] = reporting.noise_words(first.recording)
     return facts
 
 

@@ -39,8 +39,8 @@ def add_arguments(parser: ArgumentParser) -> None:
 def run(args: Namespace) -> int:
     from mocap import sensors, synthesis
     from poser import comparison, motions, results
-    from poser.commands.compare import write_report
     from poser.commands.synthesize import noise_generator
+    from poser.reporting import write_report
 
     files.make_folder(args.output)
     with progress("demo") as tell:
@@ -104,7 +104,7 @@ def _picture(path: Path, truth: Motion, compared: Compared) -> None:
 
 def _facts(recording: Recording, compared: Compared) -> dict[str, str]:
     from mocap import sensors
-    from poser.commands.compare import noise_words
+    from poser.reporting import noise_words
 
     facts = {
         "Motion": f"built-in (standing, walking, squat, arms, jumping jacks, leg raises), "

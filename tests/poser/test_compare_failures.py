@@ -20,9 +20,18 @@ from mocap.errors import PoserError
 from mocap.formats.native import read_recording, write_recording
 from mocap.motion import Motion
 from mocap.recording import Recording
-from poser import batch, comparison, console, earlier, estimators, motions, pictures, results
+from poser import (
+    batch,
+    comparison,
+    console,
+    earlier,
+    estimators,
+    motions,
+    pictures,
+    reporting,
+    results,
+)
 from poser.__main__ import main
-from poser.commands import compare
 
 LEGS = ("left_shank", "right_shank", "pelvis")
 
@@ -332,4 +341,4 @@ def test_too_many_devices_are_named_with_the_option_that_chooses(place: Path) ->
 )
 def test_odd_notes_of_the_noise(noise: dict[str, Any], words: str, place: Path) -> None:
     recording: Recording = replace(read_recording(place / "walk.npz"), noise=noise)
-    assert words in compare.noise_words(recording)
+    assert words in reporting.noise_words(recording)
