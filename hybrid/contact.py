@@ -19,8 +19,8 @@ from mocap.orientation import Array
 from mocap.skeleton import TOES, Skeleton
 
 LEGS = ((1, 2), (4, 5), (7, 8), TOES)  # left and right: hip, knee, ankle, toe
-_JOINTS = np.array(LEGS)
 UP = np.array([0.0, 1.0, 0.0])
+_JOINTS = np.array(LEGS)
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Contact:
         self.noise = noise or ContactNoise()
         rest = skeleton.rest_positions
         floor = rest[list(TOES), 1].min() - skeleton.sole
-        # T_parent_joint (4,2,4,4) of the legs at rest, in whose place each frame's rotations are put.
+        # T_parent_joint (4,2,4,4) of the legs at rest; each frame puts its rotations into a copy.
         self._legs = np.tile(np.eye(4), (4, 2, 1, 1))
         self._legs[..., :3, 3] = skeleton.offsets[_JOINTS]
         # The sole is flat in the rest pose: each point lies straight under its joint.
@@ -91,7 +91,7 @@ class Contact:
         T = self._legs.copy()
         T[..., :3, :3] = R_parent_joint[_JOINTS]
         T_root_ankle = T[0] @ T[1] @ T[2]
-        T_root_foot = np.stack([T_root_ankle, T_root_ankle @ T[3]])
+        T_root_foot = np.array([T_root_ankle, T_root_ankle @ T[3]])
         return (T_root_foot @ self._under)[..., :3, 0] @ R_parent_joint[0].T
 
     def step(
@@ -130,19 +130,20 @@ class Contact:
         foot = soles[lower, [0, 1]]
         velocity = (foot - state.soles[lower, [0, 1]]) / dt
         standing = self._standing(foot[:, 1] - lowest, velocity, v, acc, vv)
-        for belief, v_foot in zip(standing, velocity, strict=True):
-            total = vv + n.foot_speed**2 / max(belief, 1e-3) ** 4
-            gain_p, gain_v = pv / total, vv / total
-            error = -v_foot - v
-            p, v = p + gain_p * error, v + gain_v * error
-            pp, pv, vv = pp - gain_p * pv, pv - gain_p * vv, vv - gain_v * vv
+        # Two measurements of one velocity are one: their mean, weighted by their information.
+        information = np.maximum(standing, 1e-3) ** 4 / n.foot_speed**2
+        variance = 1 / information.sum()
+        gain_p, gain_v = pv / (vv + variance), vv / (vv + variance)
+        error = -variance * (information @ velocity) - v
+        p, v = p + gain_p * error, v + gain_v * error
+        pp, pv, vv = pp - gain_p * pv, pv - gain_p * vv, vv - gain_v * vv
         # Whoever is below the ground by more than the ground is uncertain, is not: standing or not.
         sure = 1.0 if p[1] < -lowest - n.ground else max(standing.max(), 1e-3)
         total = pp + n.ground**2 / sure**4
         gain_p, gain_v = UP * pp / total, UP * pv / total
         error = -lowest - p
         p, v = p + gain_p * error, v + gain_v * error
-        covariance = np.stack([pp - gain_p * pp, pv - gain_p * pv, vv - gain_v * pv])
+        covariance = np.array([pp - gain_p * pp, pv - gain_p * pv, vv - gain_v * pv])
         return RootState(p, v, covariance, soles, standing)
 
     def _standing(

@@ -12,6 +12,7 @@ from mocap import orientation as ori
 from mocap.estimator import Pose, Sample
 from mocap.orientation import Array
 
+_EYE = np.eye(3)
 LARGEST_ACC = 400.0  # m/s^2; the range of body-worn sensors ends at 16 to 40 g
 
 
@@ -37,14 +38,15 @@ def clean(sample: Any, sensors: int, expected_s: float) -> tuple[Sample, dict[st
         valid = np.zeros(sensors)
     said = valid > 0
     # Past 2 no entry belongs to a rotation; clipped first, huge numbers cannot overflow in the check.
-    turns = (np.abs(R) < 2).all((-1, -2))
+    turns = np.asarray((np.abs(R) < 2).all((-1, -2)))
     if not _exact(R[turns]):
         turns[turns] = ori.is_rotation(R[turns])
         R[turns] = ori.project(R[turns])
+    if not turns.all():
+        broken = int((said & ~turns & np.isfinite(R).all((-1, -2))).sum())
+        if broken:
+            events["not a rotation"] = broken
     moves = (np.abs(acc) <= LARGEST_ACC).all(-1)
-    broken = int((said & ~turns & np.isfinite(R).all((-1, -2))).sum())
-    if broken:
-        events["not a rotation"] = broken
     valid_now = said & (turns | moves)
     if not valid_now.all():
         events["sensor lost"] = int((~valid_now).sum())
@@ -83,7 +85,7 @@ def sample_at(samples: Sequence[Sample], time_s: float, tolerance_s: float) -> S
 
 def _exact(R: Array) -> bool:
     """Whether all matrices (N,3,3) of bounded entries are rotations but for rounding."""
-    off = np.abs(R.mT @ R - np.eye(3)).max(initial=0.0)
+    off = np.abs(R.mT @ R - _EYE).max(initial=0.0)
     return bool(off <= 1e-9 and (np.linalg.det(R) > 0).all())
 
 

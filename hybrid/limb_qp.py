@@ -95,9 +95,7 @@ class LimbQP:
         x = _clip(z * scale, lower, upper)  # the scale's rounding
         return Answer(x, ok, kkt, iterations)
 
-    def _by_osqp(
-        self, P: Array, q: Array, low: Array, high: Array, z: Array
-    ) -> tuple[Array, int]:
+    def _by_osqp(self, P: Array, q: Array, low: Array, high: Array, z: Array) -> tuple[Array, int]:
         """OSQP's answer within the box, started at z in it, and its iterations; all scaled."""
         y = np.where((z <= low) | (z >= high), -(P @ z + q), 0.0)
         thin = np.maximum(NARROWEST - (high - low), 0) / 2

@@ -94,7 +94,7 @@ def predict(state: SensorMotion, acc: Array, dt: float, noise: FilterNoise) -> S
     vv = vv + S * dt
     # Too uncertain to be of use: scaling the whole matrix down keeps it positive definite.
     shrink = np.minimum(1.0, noise.widest_m**2 / pp)
-    return SensorMotion(p, v, np.stack([pp, pv, vv], axis=1) * shrink[:, None], now)
+    return SensorMotion(p, v, (np.array([pp, pv, vv]) * shrink).T, now)
 
 
 def update(state: SensorMotion, solved: Array, used: np.ndarray, variance: float) -> SensorMotion:
@@ -104,7 +104,7 @@ def update(state: SensorMotion, solved: Array, used: np.ndarray, variance: float
     error = np.where(used[:, None], solved - state.p, 0.0)
     p = state.p + (gain * pp)[:, None] * error
     v = state.v + (gain * pv)[:, None] * error
-    covariance = state.covariance - gain[:, None] * np.stack([pp * pp, pp * pv, pv * pv], axis=1)
+    covariance = state.covariance - (gain * np.array([pp * pp, pp * pv, pv * pv])).T
     return SensorMotion(p, v, covariance, state.acc)
 
 
@@ -112,6 +112,8 @@ def start(
     state: SensorMotion, solved: Array, which: np.ndarray, noise: FilterNoise
 ) -> SensorMotion:
     """Begin the filters `which` (S,) anew at solved positions (S,3) m, velocity unknown."""
+    if not which.any():
+        return state
     pick = which[:, None]
     fresh = np.array([noise.solved_m**2, 0.0, noise.start_velocity**2])
     return SensorMotion(

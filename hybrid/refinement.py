@@ -17,18 +17,19 @@ answers a little differently every frame.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+import pinocchio as pin
 from scipy.linalg.lapack import dpotrf, dtrtri
 
 from hybrid import limits, motion_filter, rotations, tasks
 from hybrid.kinematics import Configuration, Kinematics
 from hybrid.limb_qp import Answer, LimbQP
 from hybrid.settings import TrackerSettings
-from mocap import orientation as ori
 from mocap.estimator import Pose, Sample
 from mocap.orientation import Array
 from mocap.skeleton import Skeleton
@@ -93,10 +94,10 @@ def smoothed(
     turn + h i / dt, with theta = exp(-dt / memory_s), g = 1 - theta^2, h = (1 - theta)^2
     (Brookner 1998, 1.2.6). It follows a constant rate without lag.
     """
-    theta = np.exp(-dt / memory_s)
-    ahead = R_before @ ori.exp(turn * dt)
+    theta = math.exp(-dt / memory_s)
+    ahead = R_before @ rotations.exp(turn * dt)
     i = rotations.log(ahead.mT @ R_now)
-    return ahead @ ori.exp((1 - theta**2) * i), turn + (1 - theta) ** 2 * i / dt
+    return ahead @ rotations.exp((1 - theta**2) * i), turn + (1 - theta) ** 2 * i / dt
 
 
 def free_joints(skeleton: Skeleton, joint: np.ndarray, spine: bool) -> tuple[int, ...]:
@@ -178,8 +179,8 @@ class Refinement:
         if self.qp is None:
             return memory, Refined(R_net, pose.std_rad, unseen, {}, None)
         R, R_free = R_net.copy(), R_net[self._free]
-        coast = np.exp(-dt / self.settings.step_memory_s) * memory.step
-        before, onward = ori.exp(np.stack([memory.xi, coast]))
+        coast = math.exp(-dt / self.settings.step_memory_s) * memory.step
+        before, onward = rotations.exp(np.array([memory.xi, coast]))
         ahead = before @ onward
         R[self._free] = R_now = R_free @ ahead
         at = self.kinematics.at(R)
@@ -192,15 +193,13 @@ class Refinement:
             R_net[1:] = pose.R_parent_joint[1:]
             memory = replace(memory, xi=still, step=still, R_free=R_net[self._free])
             return memory, Refined(R_net, pose.std_rad, NOT_CONVERGED, events, answer)
-        after = ahead @ ori.exp(dv)
+        after = ahead @ rotations.exp(dv)
         R[self._free] = R_now = R_free @ after
-        xi, step = rotations.log(np.stack([after, before.mT @ after]))
+        xi, step = rotations.log(np.array([after, before.mT @ after]))
         motion, refused_s, events["filter restarted"] = self._follow(
             memory, at, dv, refused, sample, dt
         )
-        memory = replace(
-            memory, xi=xi, step=step, R_free=R_now, motion=motion, refused_s=refused_s
-        )
+        memory = replace(memory, xi=xi, step=step, R_free=R_now, motion=motion, refused_s=refused_s)
         return memory, Refined(R, self._deviation(pose, H), unseen, events, answer)
 
     def _smoothed(self, memory: Memory, pose: Pose, dt: float) -> tuple[Array, Array]:
@@ -222,11 +221,11 @@ class Refinement:
             return memory.root
         if seen[self.pelvis]:
             R = sample.R_world_bone[self.pelvis]
-            correction = rotations.log(R_net[0].T @ R)
+            correction = pin.log3(R_net[0].T @ R)
             R_net[0] = R
             return correction
-        correction = memory.root * np.exp(-dt / ROOT_OFFSET_S)
-        R_net[0] = R_net[0] @ ori.exp(correction)
+        correction = memory.root * math.exp(-dt / ROOT_OFFSET_S)
+        R_net[0] = R_net[0] @ rotations.exp(correction)
         return correction
 
     def _predicted(
@@ -250,12 +249,12 @@ class Refinement:
         s = self.settings
         sigma, whitener = self._network_errors(pose)
         terms = [tasks.network(xi, whitener)]
-        use = np.flatnonzero(seen & self._limbs)
+        use = (seen & self._limbs).nonzero()[0]
         term, angle = tasks.orientation(at, use, sample.R_world_bone[use], self._sigma)
         terms.append(term)
         refused = np.zeros(len(self.joint), bool)
         if self.pelvis is not None and s.positions:
-            use = np.flatnonzero(memory.motion.running & self._limbs)
+            use = (memory.motion.running & self._limbs).nonzero()[0]
             p, J = tasks.relative_position(at, self.pelvis)
             placed = tasks.position(
                 p[use],
@@ -274,10 +273,11 @@ class Refinement:
 
     def _charts(self, ahead: Array, R_free: Array, R_now: Array, memory: Memory) -> Charts:
         """All logarithms that this frame's problem needs, in one call; of the free joints (F,3,3) each."""
-        R = [ahead, R_now, R_free]
         if memory.R_free is None:
-            return Charts(*rotations.log(np.stack(R)), None)
-        return Charts(*rotations.log(np.stack([*R, R_now.mT @ memory.R_free])))
+            xi, theta, proposed = rotations.log(np.array([ahead, R_now, R_free]))
+            return Charts(xi, theta, proposed, None)
+        back = R_now.mT @ memory.R_free
+        return Charts(*rotations.log(np.array([ahead, R_now, R_free, back])))
 
     def _solve(
         self, qp: LimbQP, H: Array, g: Array, charts: Charts, dt: float
@@ -288,12 +288,11 @@ class Refinement:
         """
         theta = charts.theta
         # The root's rotation vector has no limits and may pass the half turn: its chart is its tangent,
-        # the chart of a joint at rest.
-        chart = theta * self._limited
-        B = rotations.right_jacobian(chart)
+        # as that of a joint at rest.
+        B = rotations.right_jacobian(theta * self._limited)
         centre, reach = np.zeros_like(theta), np.inf
         if charts.back is not None:
-            centre = _times(rotations.right_jacobian_inv(chart), charts.back)
+            centre[:] = np.linalg.solve(B, charts.back[..., None])[..., 0]
             reach = self._rate * dt
         low, high = tasks.box(theta, charts.proposed, self._lower, self._upper, centre, reach)
         damped = H + self._identity / (self._step**2 * dt)
@@ -338,7 +337,7 @@ class Refinement:
             if self._known[1] is not None:
                 return self._known[1]
         sigma = self._network_sigma(pose)
-        return sigma, np.diag(1 / sigma.ravel())
+        return sigma, self._identity / sigma.ravel()
 
     def _whitened(self, covariance: Array) -> tuple[Array, Array] | None:
         """`_network_errors` of a covariance (72,72); None where it is not one."""

@@ -1,4 +1,4 @@
-"""Log and the Jacobians of Exp for the few rotations of one frame.
+"""Exp, Log and their Jacobians for the few rotations of one frame.
 
 The same functions as in `mocap.orientation`, for finite input alone and with fewer calls of numpy and scipy,
 whose overhead is all that they cost at this size: a third of the time, ten times a frame.
@@ -14,10 +14,13 @@ from mocap.orientation import Array
 # In place of an angle of zero. No series is needed for small angles: a quotient that loses digits there
 # is multiplied by the square of the angle.
 SMALLEST = 1e-30
+# Of 1 + trace, 154 degrees; beyond, R - R^T becomes too small to tell the axis from.
+NEAR_HALF_TURN = 0.2
 _EYE = np.eye(3)
 _HAT = ori.hat(_EYE).reshape(3, 9)  # hat(v) = v @ _HAT, row by row
-# Of a matrix, row by row: the vector of R - R^T, which is 2 sin(t) times the axis, and the trace.
-_SINE_AND_TRACE = np.column_stack([_HAT.T, _EYE.ravel()])
+# R.ravel() @ _QUATERNION: the vector of R - R^T, and the trace.
+_QUATERNION = np.column_stack([_HAT.T, _EYE.ravel()])
+_ONE = np.array([0.0, 0.0, 0.0, 1.0])
 
 
 def hat(v: Array) -> Array:
@@ -26,23 +29,37 @@ def hat(v: Array) -> Array:
 
 
 def norm(v: Array) -> Array:
-    """|v| (...) of vectors (...,3)."""
+    """|v| (...) of vectors (...,n)."""
     return np.sqrt(np.vecdot(v, v))
 
 
-def log(R: Array) -> Array:
-    """Rotation vectors (...,3) rad, norm at most pi, of rotation matrices (...,3,3): Log(R).
+def quaternion(R: Array) -> Array:
+    """Unit quaternions (...,4), scalar last, of rotation matrices (...,3,3).
 
-    t = atan2(2 sin t, 2 cos t), where 2 cos t = trace - 1; the axis is that of R - R^T.
+    The vector of R - R^T and 1 + trace are 4 cos(t/2) (sin(t/2) axis, cos(t/2)).
     """
-    values = R.reshape(-1, 9) @ _SINE_AND_TRACE
-    v, cosine = values[:, :3], values[:, 3] - 1
-    if cosine.min(initial=2.0) < -1.8:  # near a half turn R - R^T vanishes and says no axis
-        return ori.log(R)
+    q = R.reshape(*R.shape[:-2], 9) @ _QUATERNION + _ONE
+    if q[..., 3].min(initial=4.0) < NEAR_HALF_TURN:
+        return ori.to_quat(R, scalar_first=False)
+    return q / norm(q)[..., None]
+
+
+def log(R: Array) -> Array:
+    """Rotation vectors (...,3) rad, norm at most pi, of rotation matrices (...,3,3): Log(R)."""
+    q = quaternion(R)
+    v, w = q[..., :3], q[..., 3]
     sine = norm(v)
-    return (v * (np.arctan2(sine, cosine) / np.maximum(sine, SMALLEST))[:, None]).reshape(
-        R.shape[:-1]
-    )
+    return v * (2 * np.arctan2(sine, w) / np.maximum(sine, SMALLEST))[..., None]
+
+
+def exp(w: Array) -> Array:
+    """Rotation matrices (...,3,3) of rotation vectors (...,3) rad: Exp(w).
+
+    I + sin t / t hat(w) + (1 - cos t)/t^2 hat(w)^2, t = |w|; 1 - cos t = 2 sin^2(t/2).
+    """
+    W = hat(w)
+    t = np.maximum(norm(w), SMALLEST)[..., None, None]
+    return _EYE + np.sin(t) / t * W + 2 * (np.sin(t / 2) / t) ** 2 * (W @ W)
 
 
 def right_jacobian(w: Array) -> Array:
@@ -50,8 +67,8 @@ def right_jacobian(w: Array) -> Array:
 
     J_r = I - (1 - cos t)/t^2 hat(w) + (t - sin t)/t^3 hat(w)^2, t = |w|; 1 - cos t = 2 sin^2(t/2).
     """
-    t = np.maximum(norm(w), SMALLEST)[..., None, None]
     W = hat(w)
+    t = np.maximum(norm(w), SMALLEST)[..., None, None]
     return _EYE - 2 * (np.sin(t / 2) / t) ** 2 * W + (1 - np.sin(t) / t) / t**2 * (W @ W)
 
 
@@ -60,6 +77,6 @@ def right_jacobian_inv(w: Array) -> Array:
 
     J_r^-1 = I + hat(w)/2 + (1 - t/2 cot(t/2))/t^2 hat(w)^2, t = |w|.
     """
-    t = np.maximum(norm(w), SMALLEST)[..., None, None]
     W = hat(w)
-    return _EYE + W / 2 + (1 - t / 2 / np.tan(t / 2)) / t**2 * (W @ W)
+    half = np.maximum(norm(w), SMALLEST)[..., None, None] / 2
+    return _EYE + W / 2 + (1 - half / np.tan(half)) / (4 * half**2) * (W @ W)

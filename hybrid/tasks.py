@@ -66,8 +66,8 @@ def position(
     A prediction more than `gate` sigmas of the innovation away is refused; one more than `robust` sigmas
     of its own away counts linearly (Huber: weight robust / distance).
     """
-    distance = np.linalg.norm(p - predicted, axis=1)
-    spread = variance + np.einsum("mkn,n,mkn->m", J, prior, J) / 3
+    distance = rotations.norm(p - predicted)
+    spread = variance + (J**2 @ prior).sum(axis=1) / 3
     innovation = distance / np.sqrt(spread)
     refused = ~(innovation <= gate)
     sigmas = distance / np.sqrt(variance)
@@ -85,7 +85,8 @@ def network(xi: Array, whitener: Array) -> Term:
     """
     F = len(xi)
     J = np.zeros((F, 3, F, 3))
-    J[np.arange(F), :, np.arange(F), :] = rotations.right_jacobian_inv(xi)
+    f = np.arange(F)
+    J[f, :, f, :] = rotations.right_jacobian_inv(xi)
     return Term(whitener @ xi.ravel(), whitener @ J.reshape(3 * F, 3 * F))
 
 

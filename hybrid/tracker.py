@@ -7,7 +7,7 @@ in the state.
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -97,10 +97,10 @@ class Tracker:
 
     def step(self, state: TrackerState, sample: Sample) -> tuple[TrackerState, Pose | None]:
         """Feed one sample; the refined pose of `look_ahead_frames` ago, or None before the first."""
-        counts = Counter(state.counts)
+        counts = defaultdict(int, state.counts)
         expected = state.samples[-1].time_s + 1 / self.rate_hz if state.samples else 0.0
         sample, events = intake.clean(sample, len(self.sensors), expected)
-        counts.update(events)
+        _add(counts, events)
         kept = self.look_ahead_frames + 1 + SPARE_SAMPLES
         samples = (*state.samples, sample)[-kept:]
         received = state.received + 1
@@ -130,7 +130,7 @@ class Tracker:
         return state, pose, "" if pose is not None else NETWORK_BROKEN
 
     def _pose(
-        self, state: TrackerState, pose: Pose | None, trouble: str, counts: Counter[str]
+        self, state: TrackerState, pose: Pose | None, trouble: str, counts: defaultdict[str, int]
     ) -> tuple[TrackerState, Pose, str]:
         """The state after this frame, its pose, and why the pose is a fallback."""
         if pose is None:
@@ -152,7 +152,7 @@ class Tracker:
             state = replace(state, refined_s=pose.time_s, memory=memory, root=root)
             return state, pose, TIME_GAP if dt > 0 else TIME_BACK
         memory, refined = self.refinement.refine(state.memory, pose, sample, dt)
-        counts.update(refined.events)
+        _add(counts, refined.events)
         root, p = state.root, pose.p_world_root
         if self.settings.translation:
             root = self._located(root, refined.R_parent_joint, p, sample, dt)
@@ -174,3 +174,9 @@ class Tracker:
         if state.last is not None:
             return replace(state.last, time_s=time_s, note="")
         return Pose(time_s, np.tile(np.eye(3), (24, 1, 1)), np.zeros(3))
+
+
+def _add(counts: defaultdict[str, int], events: Mapping[str, int]) -> None:
+    """Count the events, in place."""
+    for name, times in events.items():
+        counts[name] += times

@@ -193,7 +193,8 @@ def spoil(sample: Sample, how: str, rng: np.random.Generator) -> Any:
         R = ori.exp(rng.normal(size=(len(R), 3)) * 2)
         return replace(sample, R_world_bone=R, acc_world=rng.normal(size=acc.shape) * 100)
     if how == "shape":
-        return replace(sample, R_world_bone=R[:-1], acc_world=acc[:, :2])
+        # All of one wrong length, so that further trouble may follow in the same frame.
+        return replace(sample, R_world_bone=R[:-1], acc_world=acc[:-1, :2], valid=sample.valid[:-1])
     if how == "nothing":
         return None
     if how == "clock":
