@@ -11,14 +11,19 @@ from __future__ import annotations
 from itertools import combinations
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 from mocap import facing as face
 from mocap import headings as heads
 from mocap.findings import Finding
+from mocap.limb_levels import activity, check_swapped
 from mocap.orientation import Array
 from mocap.recording import RawRecording, gaps
+from mocap.side_checks import check_sides
 from mocap.static_pose import Pose, Window, still_runs, tilt_from_pose
+
+__all__ = [
+    "activity", "check_lags", "check_leaning", "check_pose", "check_sides", "check_slipped", "check_swapped",
+]  # fmt: skip
 
 MOVED_DEG = 5.0
 SLIPPED_DEG, REST_DEG = 12.0, 6.0  # tilt of one sensor since the pose; of the others meanwhile
@@ -34,7 +39,6 @@ LOOSE_DEG = {
 POSTURE_DEG = 45.0  # no strap lets a sensor tilt by more: the limb is held differently
 ARM_KINDS = ("upper_arm", "forearm", "wrist", "hand")
 LEANING_DEG = 25.0
-SWAPPED = -0.3  # correlation of the sides' activity along a limb below which names are exchanged
 LAG_S = 0.1
 LAG_GAIN = 0.1  # by which a lag must correlate better than none
 LIVELY = 0.5  # standard deviation of the activity from which its course tells a lag
@@ -146,136 +150,6 @@ def check_leaning(raw: RawRecording, window: Window, pose: Pose) -> list[Finding
                 f"the wearer leaned in the pose, or mostly leans or sits afterwards"
             )
             found.append(Finding("warning", name, "pose-leaning", text, tilt))
-    return found
-
-
-def activity(raw: RawRecording) -> Array:
-    """(T,S): log of the squared rate of rotation, rad^2/s^2, averaged over 0.3 s.
-
-    Independent of mounting and heading; invalid samples count as rest.
-    """
-    gyr = np.where(raw.valid[..., None], np.nan_to_num(raw.gyr), 0.0)
-    n = max(1, round(0.3 * raw.rate_hz))
-    return np.asarray(np.log(uniform_filter1d((gyr**2).sum(-1), n, axis=0) + 0.05))
-
-
-def check_swapped(
-    raw: RawRecording, joints: np.ndarray, R_world_sensor: Array | None = None
-) -> list[Finding]:
-    """Are left and right exchanged on one level of a limb?
-
-    d_x = (activity of the left sensor) - (that of the right one) on level x, say the shanks. While
-    one leg swings, its thigh, shank and foot are all the busier ones: d_x and d_y correlate. A pair
-    of levels with a clearly negative correlation has one of the two exchanged. That alone errs in a
-    fast walk, where the thighs of both legs are always busy; with R_world_sensor (T,S,3,3) in one
-    world, the rates of rotation as vectors must be more alike across than along the limbs, too.
-    """
-    act = activity(raw)
-    alike = None if R_world_sensor is None else _alike(raw, R_world_sensor)
-    found: list[Finding] = []
-    for part in ("arm", "leg"):
-        levels = _levels(raw.sensors, joints, part)
-        if len(levels) < 2:
-            continue
-        d = {x: act[:, left] - act[:, right] for x, (left, right) in levels.items()}
-        # Where neither side is busier there is nothing to tell sides by.
-        d = {x: v for x, v in d.items() if v.std() > 0.3}
-        if alike is None or _crossed([levels[x] for x in d], alike):
-            found += _exchanged(d)
-    return found
-
-
-def _alike(raw: RawRecording, R_world_sensor: Array) -> Array:
-    """Correlations (S,S) of the rates of rotation in the world, as vectors, below 3 Hz."""
-    w = np.einsum("tsij,tsj->tsi", R_world_sensor, raw.gyr)
-    w[~(raw.valid & np.isfinite(w).all(-1))] = 0.0
-    w = face.lowpass(w, 3.0, raw.rate_hz)
-    C = np.einsum("tai,tbi->ab", w, w)
-    size = np.sqrt(np.maximum(np.diag(C), 1e-12))
-    return np.asarray(C / np.outer(size, size))
-
-
-def _crossed(levels: list[tuple[int, int]], C: Array) -> bool:
-    """Is there a pair of levels whose sensors are more alike across the sides than along them?"""
-    return any(
-        C[left, right_2] + C[right, left_2] > C[left, left_2] + C[right, right_2]
-        for (left, right), (left_2, right_2) in combinations(levels, 2)
-    )
-
-
-def _exchanged(d: dict[str, Array]) -> list[Finding]:
-    """The levels whose exchange makes the side differences agree; few exchanges before many."""
-    names = list(d)
-    if len(names) < 2:
-        return []
-    C = np.corrcoef(np.array([d[n] for n in names]))
-    pairs = list(combinations(range(len(names)), 2))
-    if all(C[i, j] > SWAPPED for i, j in pairs):
-        return []
-    best, best_score = [names], [-np.inf]
-    for count in range(len(names) // 2 + 1):
-        for flipped in combinations(range(len(names)), count):
-            sign = np.array([-1.0 if i in flipped else 1.0 for i in range(len(names))])
-            score = sum(sign[i] * sign[j] * C[i, j] for i, j in pairs)
-            group = [names[i] for i in flipped]
-            if score > best_score[0] + 1e-9:
-                best, best_score = [group], [score]
-            elif abs(score - best_score[0]) <= 1e-9:
-                best.append(group)
-    worst = float(min(C[i, j] for i, j in pairs))
-    options = [" and ".join(f"left_{x} and right_{x}" for x in group) for group in best if group]
-    if not options:
-        return []
-    text = (
-        f"{' (or else '.join(options)}{')' * (len(options) - 1)} are probably exchanged: when the left "
-        f"one of one level of the limb moves, the right one of the next does (correlation {worst:.2f})"
-    )
-    return [
-        Finding("warning", f"{side}_{x}", "swapped", text, worst)
-        for group in best
-        for x in group
-        for side in ("left", "right")
-    ]
-
-
-def _levels(sensors: tuple[str, ...], joints: np.ndarray, part: str) -> dict[str, tuple[int, int]]:
-    """Levels of the arms or legs that have a sensor on both sides: {"shank": (left, right), ...}."""
-    found = {}
-    for s, name in enumerate(sensors):
-        kind = face.kind(name)
-        other = f"right_{kind}"
-        on_left = name == f"left_{kind}" and heads.limb(int(joints[s])) == f"left_{part}"
-        if on_left and other in sensors:
-            found[kind] = (s, sensors.index(other))
-    return found
-
-
-def check_sides(raw: RawRecording, pose: Pose, facing: Array, name: str) -> list[Finding]:
-    """Do the arms rise (from the N-pose) or drop (from the T-pose) on the side they are named after?
-
-    Up in the frame carried to the pose: a left arm raised sideways from the N-pose carries it to the
-    left, one lowered from the T-pose to the right. In the N-pose only the upper arms tell, because
-    forearms cross the chest.
-    """
-    kinds = ("upper_arm",) if name == "n" else ("upper_arm", "forearm", "wrist")
-    found = []
-    for kind in kinds:
-        sides = [f"left_{kind}", f"right_{kind}"]
-        if not all(n in raw.sensors for n in sides):
-            continue
-        values = []
-        for n in sides:
-            s = raw.sensors.index(n)
-            _, up, _ = face.carried(raw, pose, s)
-            left = np.imag(face.complex_heading(up) * np.exp(-1j * facing[s]))
-            low, high = np.percentile(left, [1, 99])
-            values.append(high + low if name == "n" else -2 * np.median(left))
-        if values[0] < -0.3 and values[1] > 0.3:
-            text = (
-                f"left_{kind} and right_{kind} are probably exchanged: the left one goes to the right "
-                f"and the right one to the left; or the facing is off by 180 deg"
-            )
-            found += [Finding("warning", n, "swapped", text, float(values[0])) for n in sides]
     return found
 
 

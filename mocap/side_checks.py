@@ -1,6 +1,6 @@
 """Are left and right exchanged on a pair that is alone on its limbs, such as a six-sensor set's shanks?
 
-`mocap.body_checks.check_swapped` compares the levels of a limb; a pair alone has none to be compared with,
+`mocap.limb_levels.check_swapped` compares the levels of a limb; a pair alone has none to be compared with,
 and every single pose of it is a possible one. What tells the sides then is the pelvis and how people move:
 
 - *shanks*. While a leg swings, its shank's acceleration is the larger and the pelvis is pushed towards that
@@ -23,7 +23,9 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from mocap import facing as face
+from mocap import limb_levels
 from mocap import orientation as ori
+from mocap import sensors as places
 from mocap.findings import Finding
 from mocap.orientation import Array
 from mocap.recording import RawRecording
@@ -33,12 +35,21 @@ WEIGHTS = {
     "shank": {"push": 1.26, "swing": 0.67, "outward": 1.46},
     "forearm": {"outward": -1.55},
 }
-EXCHANGED = {"shank": -1.2, "forearm": -0.7}  # scores below which a pair is named
+EXCHANGED = {"shank": -1.2, "forearm": -1.0}  # scores below which a pair is named
 UNCERTAIN_DEG = 40.0  # of a facing with which nothing is said of shanks
 LONGEST = 4.0  # a cue counts at most this much: one that is constant has no spread to be divided by
-AT_LEAST_S = 8.0
+AT_LEAST_S = 10.0  # with the pose: what the weights were fitted to
 SWING_S = 1.5  # a stride: slower than that it is turning, not swinging
 LOWPASS_HZ = 3.0
+# By how much lower the score must be where another level of the limb has the same sides: only the whole limb
+# can be exchanged then, which is a rarer mistake than a person who moves like the other side.
+WHOLE_LIMB = 0.5
+RAISED = (
+    0.5  # horizontal part of up in an arm's frame, of 1, from which it counts as raised sideways
+)
+RAISED_S = 2.0  # time for which both arms must have been raised, to tell a side
+UNANIMOUS = 0.9  # share of that time, as a difference of the two sides, that must say the same
+LOWERED = 0.15  # part of up along left, median, from which an arm counts as lowered from the T-pose
 
 
 def check_pairs(
@@ -47,8 +58,10 @@ def check_pairs(
     """Warnings about shanks and (after an N-pose) forearms whose sides are exchanged.
 
     facing (S,) rad: the wearer's forward in each sensor's world, sigma (S,) its uncertainty. name: "n" or
-    "t". known: sensors that another check has named already.
+    "t". known: sensors that another check has named already. In a suit, where another level of the limb has
+    the same sides, it takes `WHOLE_LIMB` more.
     """
+    joints, _ = places.joints_and_seats(raw.sensors)
     found = []
     for kind in WEIGHTS if name == "n" else ("shank",):
         sides = [f"left_{kind}", f"right_{kind}"]
@@ -58,13 +71,73 @@ def check_pairs(
         if kind == "shank" and (sigma[worn] > np.radians(UNCERTAIN_DEG)).any():
             continue
         score = side_score(raw, pose, facing, kind)
-        if score < EXCHANGED[kind]:
+        limit = EXCHANGED[kind]
+        whole = ""
+        if score < limit and limb_levels.agrees(raw, joints, kind):
+            limit -= WHOLE_LIMB
+            whole = ", with the other sensors of these limbs,"
+        if score < limit:
             text = (
-                f"left_{kind} and right_{kind} are probably exchanged: their motion fits the pelvis "
+                f"left_{kind} and right_{kind}{whole} are probably exchanged: their motion fits the pelvis "
                 f"better the other way round (score {score:+.1f}, {-score:+.1f} if exchanged)"
             )
             found += [Finding("warning", n, "swapped", text, score) for n in sides]
     return found
+
+
+def check_sides(raw: RawRecording, pose: Pose, facing: Array, name: str) -> list[Finding]:
+    """Do the arms rise (from the N-pose) or drop (from the T-pose) on the side they are named after?
+
+    Up in the frame carried to the pose: a left arm raised sideways from the N-pose carries it to the
+    left, one lowered from the T-pose to the right. facing (S,) rad: the wearer's forward in each sensor's
+    world.
+
+    In the N-pose only the upper arms tell, because forearms cross the chest; and not for certain, because an
+    arm raised forward and turned outward carries up to the other side, and some dance like that. So both
+    arms must have been raised sideways for RAISED_S, nearly always to the wrong side; headings must be
+    common, as an own one is told by the arm's swing and may be the opposite; and where forearms are worn
+    with their sides on the same limbs, their habits must say the same.
+    """
+    kinds = ("upper_arm",) if name == "n" else ("upper_arm", "forearm", "wrist")
+    if name == "n" and not raw.common_heading:
+        return []
+    found = []
+    for kind in kinds:
+        sides = [f"left_{kind}", f"right_{kind}"]
+        if not all(n in raw.sensors for n in sides):
+            continue
+        values = [_goes_left(raw, pose, facing, n, name) for n in sides]
+        if values[0] < 0 < values[1] and not (name == "n" and _forearms_fit(raw, pose, facing)):
+            text = (
+                f"left_{kind} and right_{kind} are probably exchanged: the left one goes to the right "
+                f"and the right one to the left; or the facing is off by 180 deg"
+            )
+            found += [Finding("warning", n, "swapped", text, values[0]) for n in sides]
+    return found
+
+
+def _goes_left(raw: RawRecording, pose: Pose, facing: Array, sensor: str, name: str) -> float:
+    """How clearly an arm rises or drops to the left: -1 to 1, 0 where it is not clear."""
+    s = raw.sensors.index(sensor)
+    _, up, _ = face.carried(raw, pose, s)
+    h = face.complex_heading(up) * np.exp(-1j * facing[s])
+    if name == "t":
+        lowered = -float(np.median(h.imag))
+        return lowered if abs(lowered) > LOWERED else 0.0
+    raised = h.imag[(np.abs(h.imag) > RAISED) & (np.abs(h.imag) > np.abs(h.real))]
+    if len(raised) < RAISED_S * raw.rate_hz:
+        return 0.0
+    share = float(np.sign(raised).mean())
+    return share if abs(share) > UNANIMOUS else 0.0
+
+
+def _forearms_fit(raw: RawRecording, pose: Pose, facing: Array) -> bool:
+    """Are there forearms on the same limbs as the upper arms, that turn as those of these sides do?"""
+    if not {"pelvis", "left_forearm", "right_forearm"} <= set(raw.sensors):
+        return False
+    joints, _ = places.joints_and_seats(raw.sensors)
+    same = limb_levels.agrees(raw, joints, "upper_arm")
+    return same and side_score(raw, pose, facing, "forearm") > 0.5 * EXCHANGED["forearm"]
 
 
 def side_score(raw: RawRecording, pose: Pose, facing: Array, kind: str) -> float:

@@ -1,0 +1,141 @@
+"""The levels of a limb: do its left and right sensors move like those next to them on the same side?
+
+While one leg swings, its thigh, shank and foot are all busier than those of the other leg. A level that is
+busy when the others of its side are not has left and right exchanged.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from mocap import facing as face
+from mocap import headings as heads
+from mocap.findings import Finding
+from mocap.orientation import Array
+from mocap.recording import RawRecording
+
+SWAPPED = -0.3  # correlation of the sides' activity along a limb below which names are exchanged
+AGREEING = 0.4  # ... above which two levels are on the same sides
+TELLING = 0.3  # standard deviation of the difference of the sides from which its course tells
+
+
+def activity(raw: RawRecording) -> Array:
+    """(T,S): log of the squared rate of rotation, rad^2/s^2, averaged over 0.3 s.
+
+    Independent of mounting and heading; invalid samples count as rest.
+    """
+    gyr = np.where(raw.valid[..., None], np.nan_to_num(raw.gyr), 0.0)
+    n = max(1, round(0.3 * raw.rate_hz))
+    return np.asarray(np.log(uniform_filter1d((gyr**2).sum(-1), n, axis=0) + 0.05))
+
+
+def check_swapped(
+    raw: RawRecording, joints: np.ndarray, R_world_sensor: Array | None = None
+) -> list[Finding]:
+    """Are left and right exchanged on one level of a limb?
+
+    d_x = (activity of the left sensor) - (that of the right one) on level x, say the shanks. While
+    one leg swings, its thigh, shank and foot are all the busier ones: d_x and d_y correlate. A pair
+    of levels with a clearly negative correlation has one of the two exchanged. That alone errs in a
+    fast walk, where the thighs of both legs are always busy; with R_world_sensor (T,S,3,3) in one
+    world, the rates of rotation as vectors must be more alike across than along the limbs, too.
+    """
+    act = activity(raw)
+    alike = None if R_world_sensor is None else _alike(raw, R_world_sensor)
+    found: list[Finding] = []
+    for part in ("arm", "leg"):
+        pairs = levels(raw.sensors, joints, part)
+        if len(pairs) < 2:
+            continue
+        d = {x: act[:, left] - act[:, right] for x, (left, right) in pairs.items()}
+        # Where neither side is busier there is nothing to tell sides by.
+        d = {x: v for x, v in d.items() if v.std() > TELLING}
+        if alike is None or _crossed([pairs[x] for x in d], alike):
+            found += _exchanged(d)
+    return found
+
+
+def _alike(raw: RawRecording, R_world_sensor: Array) -> Array:
+    """Correlations (S,S) of the rates of rotation in the world, as vectors, below 3 Hz."""
+    w = np.einsum("tsij,tsj->tsi", R_world_sensor, raw.gyr)
+    w[~(raw.valid & np.isfinite(w).all(-1))] = 0.0
+    w = face.lowpass(w, 3.0, raw.rate_hz)
+    C = np.einsum("tai,tbi->ab", w, w)
+    size = np.sqrt(np.maximum(np.diag(C), 1e-12))
+    return np.asarray(C / np.outer(size, size))
+
+
+def _crossed(levels: list[tuple[int, int]], C: Array) -> bool:
+    """Is there a pair of levels whose sensors are more alike across the sides than along them?"""
+    return any(
+        C[left, right_2] + C[right, left_2] > C[left, left_2] + C[right, right_2]
+        for (left, right), (left_2, right_2) in combinations(levels, 2)
+    )
+
+
+def _exchanged(d: dict[str, Array]) -> list[Finding]:
+    """The levels whose exchange makes the side differences agree; few exchanges before many."""
+    names = list(d)
+    if len(names) < 2:
+        return []
+    C = np.corrcoef(np.array([d[n] for n in names]))
+    pairs = list(combinations(range(len(names)), 2))
+    if all(C[i, j] > SWAPPED for i, j in pairs):
+        return []
+    best, best_score = [names], [-np.inf]
+    for count in range(len(names) // 2 + 1):
+        for flipped in combinations(range(len(names)), count):
+            sign = np.array([-1.0 if i in flipped else 1.0 for i in range(len(names))])
+            score = sum(sign[i] * sign[j] * C[i, j] for i, j in pairs)
+            group = [names[i] for i in flipped]
+            if score > best_score[0] + 1e-9:
+                best, best_score = [group], [score]
+            elif abs(score - best_score[0]) <= 1e-9:
+                best.append(group)
+    worst = float(min(C[i, j] for i, j in pairs))
+    options = [" and ".join(f"left_{x} and right_{x}" for x in group) for group in best if group]
+    if not options:
+        return []
+    text = (
+        f"{' (or else '.join(options)}{')' * (len(options) - 1)} are probably exchanged: when the left "
+        f"one of one level of the limb moves, the right one of the next does (correlation {worst:.2f})"
+    )
+    return [
+        Finding("warning", f"{side}_{x}", "swapped", text, worst)
+        for group in best
+        for x in group
+        for side in ("left", "right")
+    ]
+
+
+def levels(sensors: tuple[str, ...], joints: np.ndarray, part: str) -> dict[str, tuple[int, int]]:
+    """Levels of the arms or legs that have a sensor on both sides: {"shank": (left, right), ...}."""
+    found = {}
+    for s, name in enumerate(sensors):
+        kind = face.kind(name)
+        other = f"right_{kind}"
+        on_left = name == f"left_{kind}" and heads.limb(int(joints[s])) == f"left_{part}"
+        if on_left and other in sensors:
+            found[kind] = (s, sensors.index(other))
+    return found
+
+
+def agrees(raw: RawRecording, joints: np.ndarray, kind: str) -> bool:
+    """Does another level of the limb of `kind` ("forearm") have its left and right where that has them?
+
+    joints (S,): of the sensors. False for a pair that is alone on its limbs.
+    """
+    for part in ("arm", "leg"):
+        pairs = levels(raw.sensors, joints, part)
+        if kind not in pairs:
+            continue
+        act = activity(raw)
+        d = {x: act[:, left] - act[:, right] for x, (left, right) in pairs.items()}
+        if d[kind].std() <= TELLING:
+            return False
+        others = [v for x, v in d.items() if x != kind and v.std() > TELLING]
+        return any(np.corrcoef(d[kind], v)[0, 1] > AGREEING for v in others)
+    return False
