@@ -87,10 +87,19 @@ def main(argv: list[str] | None = None) -> int:
         _forget_stdout()
         return FAILED
     except Exception as e:
+        if _interrupted(e):
+            complain("interrupted", name)
+            return INTERRUPTED
         if "--debug" in words:
             traceback.print_exc()
         complain(*_sentence(e, name))
         return WRONG_USAGE if isinstance(e, UsageError) else FAILED
+
+
+def _interrupted(e: BaseException) -> bool:
+    """Whether a Ctrl-C lies behind an error: an extension that is being imported turns it into another."""
+    behind = e.__cause__ or e.__context__
+    return isinstance(behind, KeyboardInterrupt) or (behind is not None and _interrupted(behind))
 
 
 def _sentence(e: Exception, name: str) -> Sequence[str]:

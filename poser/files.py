@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -47,23 +48,35 @@ _HINTS = {
 
 
 def read(path: Path, options: Options | None = None) -> Document:
-    """Any file of a known format. A native raw recording's sensors are renamed by the mapping."""
-    from dataclasses import replace
-
+    """Any file of a known format."""
     from mocap import formats
-    from mocap.recording import RawRecording
 
     if path.is_dir():
         _check_folder(path)
     else:
         _check_like(path)
     doc = formats.read(path, options)
-    names = options.mapping if options is not None else None
-    raw = doc.content
-    if doc.format == "native" and isinstance(raw, RawRecording) and isinstance(names, dict):
-        with about(path):
-            return replace(doc, content=raw.renamed(names))
-    return doc
+    own = overridden_rate(path, options, doc)
+    if own is None:
+        return doc
+    told = f"states {own:g} Hz, read as {doc.content.rate_hz:g} Hz as was said"
+    return replace(doc, warnings=(*doc.warnings, told))
+
+
+def overridden_rate(path: Path, options: Options | None, doc: Document) -> float | None:
+    """The rate in Hz that a file states itself, where `doc` was read with another one of `options`."""
+    from mocap import formats
+
+    said = options.rate_hz if options is not None else None
+    if options is None or said is None or doc.content.rate_hz != said:
+        return None
+    try:
+        own = formats.read(path, replace(options, rate_hz=None))
+    except FormatError:
+        return None  # none is stated
+    same = abs(own.content.rate_hz / said - 1) < 1e-3  # .bvh files round the time of a frame
+    # A reader that assumes a rate says so, and that changes with what it is told.
+    return None if same or own.assumptions != doc.assumptions else own.content.rate_hz
 
 
 def _check_like(path: Path) -> None:

@@ -185,6 +185,8 @@ def sensors(spec: str | None, available: tuple[str, ...] | None = None) -> tuple
     from mocap import sensors as places
     from mocap.errors import SensorError
 
+    if spec is not None and not spec.strip():
+        raise UsageError("argument --sensors: is empty")
     if available is None:
         try:
             return places.parse(_without_sets(spec or "six", places.SUIT))

@@ -167,7 +167,7 @@ def joints(known: Mapping[str, Array]) -> Figure:
     axis.margins(x=0.01)
     axis.grid(alpha=0.3, axis="y")
     axis.set_axisbelow(True)
-    axis.legend(fontsize=8, ncols=4, frameon=False)
+    axis.legend(fontsize=8, loc="upper right", ncols=4, frameon=False)
     figure.subplots_adjust(0.065, 0.27, 0.99, 0.97)
     return figure
 
@@ -193,7 +193,7 @@ def residuals(solution: Solution, sensors: Sequence[str]) -> Figure:
         axis.set_ylim(bottom=0)
         axis.margins(x=0)
         axis.grid(alpha=0.3)
-    axes[0].legend(fontsize=7, ncols=max(1, min(6, len(sensors))), frameon=False)
+    axes[0].legend(fontsize=7, loc="upper right", ncols=max(1, min(6, len(sensors))), frameon=False)
     terms = list(solution.cost)
     axes[-1].bar(range(len(terms)), [solution.cost[n] for n in terms], color="#1b7837")
     axes[-1].set_xticks(range(len(terms)), terms, fontsize=8)

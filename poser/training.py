@@ -194,7 +194,7 @@ def draw_log(log: Sequence[dict[str, Any]]) -> Figure:
             axis.plot(steps, [r[name] for r in log], ".-", lw=1.3, label=words)
         axis.set_ylabel(label)
         axis.grid(alpha=0.3)
-        axis.legend(fontsize=8, frameon=False)
+        axis.legend(fontsize=8, loc="upper right", frameon=False)
     for axis in axes[1]:
         axis.set_xlabel("step")
     figure.tight_layout()

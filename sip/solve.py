@@ -364,12 +364,11 @@ def _assemble(
 
 
 def _sigmas(recording: Recording, residuals: dict[str, Array]) -> dict[str, float]:
-    """Root mean square of each term's whitened residuals, over what was measured."""
+    """Root mean square of each term's whitened residuals; of sensors, over what was measured."""
     out = {}
     for name, r in residuals.items():
-        used = r[np.abs(r).reshape(len(r), -1).sum(axis=1) > 0] if len(r) else r
-        if name in ("orientation", "acceleration"):
-            used = r[np.abs(r).sum(axis=-1) > 0]
+        # The residual of a sample that is missing is exactly zero.
+        used = r[np.abs(r).sum(axis=-1) > 0] if name in ("orientation", "acceleration") else r
         out[name] = float(np.sqrt(np.mean(used**2))) if used.size else 0.0
     return out
 

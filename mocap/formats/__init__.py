@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields, replace
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from mocap.errors import FormatError, PoserError
 from mocap.formats import _files
@@ -39,6 +39,22 @@ class Options:
     units: frozenset[str] = frozenset()
     smpl: Path | None = None
     mapping: dict[str, str] | Path | None = None
+
+
+_OPTIONS = tuple(f.name for f in fields(Options))
+
+
+@dataclass(frozen=True)
+class _Watched(Options):
+    """Options that remember which of them a reader looked at."""
+
+    asked: set[str] = field(default_factory=set)
+
+    def __getattribute__(self, name: str) -> Any:
+        value = object.__getattribute__(self, name)
+        if name in _OPTIONS:
+            object.__getattribute__(self, "asked").add(name)
+        return value
 
 
 @dataclass(frozen=True)
@@ -116,11 +132,22 @@ def detect(path: Path) -> Format:
 
 
 def read(path: str | Path, options: Options | None = None) -> Document:
-    """Read a file of any known format. Raises FormatError (one sentence naming file and place)."""
+    """Read a file of any known format. Raises FormatError (one sentence naming file and place).
+
+    A mapping renames the sensors of a raw recording whose reader does not do so itself. An option that
+    nobody looks at is named in the warnings.
+    """
     path = Path(path)
+    told = {k: getattr(options, k) for k in _OPTIONS} if options else {}
+    watched = _Watched(**told)
     try:
         fmt = detect(path)
-        return fmt.read(path, options or Options())
+        doc = fmt.read(path, watched)
+        if isinstance(doc.content, RawRecording) and "mapping" not in watched.asked:
+            doc = replace(doc, content=_renamed(path, doc.content, watched.mapping))
+        idle = [k for k, v in told.items() if v and k not in watched.asked]
+        more = [f"{k.removesuffix('_hz')} was given, but has no effect on this file" for k in idle]
+        return replace(doc, warnings=(*doc.warnings, *more)) if more else doc
     except FormatError:
         raise
     except PoserError as e:
@@ -129,3 +156,16 @@ def read(path: str | Path, options: Options | None = None) -> Document:
         raise FormatError(path, "too large for this machine's memory") from e
     except OSError as e:
         raise FormatError(path, e.strerror or str(e)) from e
+
+
+def _renamed(path: Path, raw: RawRecording, names: dict[str, str] | Path | None) -> RawRecording:
+    if names is None:
+        return raw
+    if not isinstance(names, dict):
+        if not names.exists():
+            raise FormatError(names, "no such file")
+        raise FormatError(names, "is no mapping for this kind of file, expected NAME=PLACE,...")
+    odd = [n for n in names if n not in raw.sensors]
+    if odd:
+        raise FormatError(path, f"has no sensor {odd[0]!r} to map; it has {', '.join(raw.sensors)}")
+    return raw.renamed(names)

@@ -6,7 +6,9 @@ The recording needs one still moment in a known pose. Where the wearer faces com
 
 from __future__ import annotations
 
+import re
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +17,7 @@ from poser.console import DONE, UsageError, emit, progress, say
 
 if TYPE_CHECKING:
     from mocap.calibration import Calibration
+    from mocap.findings import Severity
     from mocap.recording import RawRecording, Recording
 
 HELP = "a raw recording to a calibrated one"
@@ -77,16 +80,60 @@ def run(args: Namespace) -> int:
     files.check_output(args.output, [args.raw], (".npz",))
     if args.arm_angle is not None and args.pose == "t" and args.second is None:
         raise UsageError("argument --arm-angle: the T-pose has its arms at 0")
-    raw = files.raw(args.raw, options.reading(args))
+    raw, doubts = _read(args)
     with progress(f"calibrating {args.raw.name}"), files.about(args.raw):
         raw = raw.select(options.sensors(args.sensors, raw.sensors))
-        recording, calibration = _calibrate(raw, args)
+        recording, calibration = _with_doubts(*_calibrate(raw, args), doubts)
     files.write(args.output, recording)
     if args.json:
         emit(record(calibration, recording))
     else:
         _print(args.output, calibration, recording)
     return DONE
+
+
+def _read(args: Namespace) -> tuple[RawRecording, tuple[str, ...]]:
+    """The raw recording, and what its reader doubts, which is told among the diagnostics."""
+    from mocap.recording import RawRecording
+
+    doc = files.read(args.raw, options.reading(args))
+    if not isinstance(doc.content, RawRecording):
+        return files.raw(args.raw, options.reading(args)), ()  # raises, and says what to do
+    return doc.content, doc.warnings
+
+
+def _with_doubts(
+    recording: Recording, calibration: Calibration, doubts: tuple[str, ...]
+) -> tuple[Recording, Calibration]:
+    """Both with the reader's doubts among the diagnostics: warnings, and samples that are missing as info.
+
+    Doubts about sensors that are not used, and those that the diagnostics state themselves, are left out.
+    """
+    from mocap.diagnostics import ORDER
+    from mocap.findings import Finding
+
+    told = {f.sentence for f in calibration.diagnostics}
+    more = []
+    for text in doubts:
+        head = re.match(r"sensor ([^:]+):", text)
+        sensor = head[1] if head else None
+        if text in told or not (sensor is None or sensor in calibration.sensors):
+            continue
+        gap = re.match(r"\d+ of \d+ samples ", text)
+        code = (
+            "missing-samples" if gap else "reader"
+        )  # several may share it, unlike those of the checks
+        severity: Severity = "info" if gap else "warning"
+        more.append(Finding(severity, sensor, code, text))
+    if not more:
+        return recording, calibration
+    calibration = replace(
+        calibration,
+        diagnostics=tuple(
+            sorted([*calibration.diagnostics, *more], key=lambda f: ORDER[f.severity])
+        ),
+    )
+    return replace(recording, calibration=calibration.to_dict()), calibration
 
 
 def _calibrate(raw: RawRecording, args: Namespace) -> tuple[Recording, Calibration]:

@@ -8,7 +8,6 @@ a motion at another one.
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -36,8 +35,7 @@ def run(args: Namespace) -> int:
     with progress(f"converting {args.input.name}") as tell:
         reading = options.reading(args)
         doc = files.read(args.input, reading)
-        if args.rate is not None:
-            _check_rate(args, reading, doc)
+        _check_rate(args, reading, doc)
         for text in (*doc.assumptions, *doc.warnings):
             note(f"{args.input}: {text}")
         content = _prepared(args, doc.content)
@@ -48,22 +46,13 @@ def run(args: Namespace) -> int:
 
 
 def _check_rate(args: Namespace, reading: Options, doc: Document) -> None:
-    """A motion whose file states another rate would be slowed down or sped up: raises UsageError. For sensor
-    data, whose declared rate may be wrong, a note tells."""
-    try:
-        own = files.read(args.input, replace(reading, rate_hz=None))
-    except FormatError:
-        return  # none is stated
-    same = abs(own.content.rate_hz / args.rate - 1) < 1e-3  # .bvh files round the time of a frame
-    # A reader that assumes a rate says so, and that changes with what it is told.
-    if same or own.assumptions != doc.assumptions:
-        return
-    if doc.kind == "motion":
+    """Raises UsageError for a motion whose file states another rate: it would be slowed down or sped up."""
+    own = files.overridden_rate(args.input, reading, doc) if doc.kind == "motion" else None
+    if own is not None:
         raise UsageError(
-            f"argument --rate: {args.input} states {own.content.rate_hz:g} Hz itself; "
+            f"argument --rate: {args.input} states {own:g} Hz itself; "
             f"--resample {args.rate:g} writes the same motion at {args.rate:g} Hz"
         )
-    note(f"{args.input}: states {own.content.rate_hz:g} Hz, read as {args.rate:g} Hz for --rate")
 
 
 def _prepared(args: Namespace, content: Content) -> Content:

@@ -5,7 +5,7 @@ Writes the recording, one motion file a method, results.json, pictures and repor
 
 from __future__ import annotations
 
-from argparse import ArgumentParser, Namespace
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 HELP = "all of it on the built-in motion, with a report"
 NAME = "builtin"
 SEED = 0
+SHORTEST_S = 0.5
 PICTURED_S = (1.0, 4.3, 9.5, 12.0, 14.0, 16.1, 19.6)
 DEVICES = ("left_wrist", "right_pocket", "head")
 """What IMUPoser sees: a watch, a phone in a pocket, earphones."""
@@ -31,9 +32,16 @@ def add_arguments(parser: ArgumentParser) -> None:
         help="default: poser-demo",
     )  # fmt: skip
     parser.add_argument(
-        "--seconds", type=options.positive, metavar="S", help="only so much of the motion (22.6 s)"
+        "--seconds", type=_seconds, metavar="S", help="only so much of the motion (22.6 s)"
     )
     options.add_json(parser)
+
+
+def _seconds(text: str) -> float:
+    value = options.positive(text)
+    if value < SHORTEST_S:
+        raise ArgumentTypeError(f"{text!r} is less than {SHORTEST_S:g} s")
+    return value
 
 
 def run(args: Namespace) -> int:

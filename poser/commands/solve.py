@@ -191,8 +191,13 @@ def report(args: Namespace, recording: Recording, solution: Solution) -> None:
     )
     for name, found in (solution.sensors or {}).items():
         say(_constants(name, found))
+    measured = recording.ori_valid
+    seen = measured.any(axis=0).sum()
+    blind = 1 - measured.any(axis=1).mean()
+    if blind > 0.5:
+        note(f"{100 * blind:.0f} % of the frames have no sensor at all: the prior alone makes them")
     say(
-        f"{args.output}: {len(solution.motion)} frames from {len(recording.sensors)} sensors in "
+        f"{args.output}: {len(solution.motion)} frames from {seen} sensors in "
         f"{solution.seconds:.1f} s, {solution.iterations} iterations: {solution.status}"
     )
     tried = solution.report["starts"]

@@ -16,6 +16,7 @@ from mocap.errors import SensorError
 from mocap.formats import amass, bvh, native
 from poser import comparison, files, options
 from poser.__main__ import main
+from poser.commands import demo
 from poser.console import UsageError
 
 Answer = Callable[..., Any]
@@ -132,6 +133,49 @@ def test_convert_rate_is_for_files_that_state_none(
     capsys.readouterr()
     assert main(["convert", str(table), str(out), "--rate", "50"]) == 0
     assert "states 100 Hz, read as 50 Hz" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("source", "words", "said"),
+    [
+        ("raw/long.npz", ["--rate", "30"], "rate was given, but has no effect on this file"),
+        ("walk.npz", ["--rate", "30"], "states 60 Hz, read as 30 Hz as was said"),
+        ("walk.npz", ["--units", "g"], "units was given, but has no effect on this file"),
+        ("walk.npz", ["--map", "a=head"], "mapping was given, but has no effect on this file"),
+    ],
+)
+def test_options_of_reading_that_do_nothing_are_named(
+    source: str, words: list[str], said: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["info", str(folder / source), *words]) == 0
+    assert said in capsys.readouterr().out
+    assert main(["info", str(folder / source)]) == 0
+    assert said not in capsys.readouterr().out
+
+
+def test_a_mapping_must_fit_the_file(
+    folder: Path, refusal: Refusal, capsys: pytest.CaptureFixture[str]
+) -> None:
+    raw = folder / "raw" / "long.npz"
+    for words, said in (
+        ("zzz=head", "has no sensor 'zzz' to map; it has left_forearm"),
+        ("nofile.json", "nofile.json: no such file"),
+        (folder / "walk.npz", "is no mapping for this kind of file"),
+    ):
+        status, sentence = refusal("info", raw, "--map", words)
+        assert status == 1 and said in sentence
+    capsys.readouterr()
+    assert main(["info", str(raw), "--map", "head=sternum"]) == 0
+    assert "sternum" in capsys.readouterr().out
+
+
+def test_an_empty_list_of_sensors(folder: Path, tmp_path: Path, refusal: Refusal) -> None:
+    """As an unset variable of a shell gives it: not all of them, not six."""
+    words = ("-o", tmp_path / "m.npz", "--sensors", "")
+    for command in (("solve", folder / "rec" / "walk.npz"), ("synthesize", folder / "walk.npz")):
+        status, sentence = refusal(*command, *words)
+        assert status == 2 and "argument --sensors: is empty" in sentence
+    assert refusal("demo", "-o", tmp_path, "--seconds", "0.001")[0] == 2
 
 
 @pytest.mark.parametrize(
@@ -495,8 +539,9 @@ def test_demo(tmp_path: Path, answer: Answer) -> None:
 
 
 def test_demo_goes_on_without_a_method_that_cannot(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(demo, "SHORTEST_S", 0.0)
     assert main(["demo", "-o", str(tmp_path), "--seconds", "0.02"]) == 0  # one frame
     said = json.loads((tmp_path / "results.json").read_text())["recordings"][0]
     assert "sop" not in said["methods"] and {"dip", "imuposer"} <= set(said["methods"])

@@ -230,6 +230,9 @@ def test_solution_reports_itself(recording: Recording) -> None:
     terms = {"orientation", "acceleration", "prior", "limits", "smoothness", "gauge"}
     assert set(solution.cost) == terms
     assert set(solution.sigmas) == terms
+    for name in terms - {"orientation", "acceleration"}:
+        rms = np.sqrt(np.mean(np.square(solution.residuals[name])))
+        assert solution.sigmas[name] == pytest.approx(rms)
     assert solution.residuals["orientation"].shape == (len(recording), 6, 3)
     assert solution.gradient_norm < 1
 
