@@ -28,6 +28,7 @@ class Band:
 
     @classmethod
     def zeros(cls, T: int, k: int, n: int, g: int = 0) -> Band:
+        """T blocks of n x n with k diagonals below the main one, and a border of g columns."""
         return cls(np.zeros((T, k + 1, n, n)), np.zeros((T, n, g)), np.zeros((g, g)))
 
     @property

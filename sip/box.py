@@ -21,6 +21,7 @@ class Box:
     upper: Array
 
     def clip(self, x: Array) -> Array:
+        """The point of the box next to x (T,n)."""
         return np.clip(x, self.lower, self.upper)
 
     def free(self, x: Array, grad: Array) -> NDArray[np.bool_]:

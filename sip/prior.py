@@ -82,22 +82,27 @@ class Conditioned:
 
     @property
     def mean(self) -> Array:
+        """(a,) rad."""
         return self.prior.mean[self.active]
 
     @property
     def covariance(self) -> Array:
+        """(a,a) rad^2, without the floor."""
         return self.prior.covariance[np.ix_(self.active, self.active)]
 
     @property
     def lower(self) -> Array:
+        """(a,) rad."""
         return self.prior.lower[self.active]
 
     @property
     def upper(self) -> Array:
+        """(a,) rad."""
         return self.prior.upper[self.active]
 
     @property
     def roughness(self) -> Array:
+        """(a,) relative size of the angles' second differences, as in `Prior`."""
         return self.prior.roughness[self.active]
 
     def complete(self, theta: Array) -> Array:

@@ -14,7 +14,7 @@ from mocap.errors import SolveError
 from poser.motions import walk
 from sip import Settings, initial, solve
 from sip.prior import shipped
-from sip.solve import windows
+from sip.windows import windows
 from tests.sip.conftest import wavy
 
 ARM = ("pelvis", "left_upper_arm", "left_forearm", "left_wrist", "left_hand")

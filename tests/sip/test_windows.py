@@ -13,7 +13,7 @@ from mocap import Recording, Skeleton, sensors, synthesis
 from mocap.errors import FormatError, ShapeError, SolveError
 from sip import Prior, Settings, initial, solve
 from sip.problem import build
-from sip.solve import windows
+from sip.windows import windows
 from tests.sip.conftest import wavy
 
 
