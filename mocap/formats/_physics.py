@@ -1,7 +1,9 @@
 """Units and axes of a recording, held against gravity, its own orientation and a reference.
 
 A contradiction raises FormatError naming file, sensor and field; a doubt is returned as a text for
-`Document.warnings`.
+`Document.warnings`. The measures are `mocap.unit_checks`'. What the shared diagnostics of a raw recording
+(`mocap.sensor_checks`) can name, such as reversed axes or a transposed orientation, is told in their words
+and left to `poser calibrate` to refuse; only what nothing explains is refused here.
 """
 
 from __future__ import annotations
@@ -11,16 +13,22 @@ from pathlib import Path
 import numpy as np
 
 from mocap import orientation as ori
+from mocap import sensor_checks, unit_checks
 from mocap.errors import FormatError
 from mocap.formats import Options
 from mocap.formats._checks import gap_report, half_report, smoothed
-from mocap.orientation import GRAVITY, Array
+from mocap.orientation import GRAVITY
+from mocap.rate_checks import check_rates
 from mocap.recording import RawRecording, Recording
 from mocap.synthesis import second_difference, sensor_positions
+from mocap.unit_checks import FASTEST, gravity_size, rate_ratio
 
-STILL_WINDOW_S = 0.5
+__all__ = ["against_reference", "calibrated", "factors", "gravity_size", "gyr_in_degrees", "missing",
+           "rate_ratio", "raw"]  # fmt: skip
+
 LIMB_SPEED = 6.0  # m/s: between two ends of a swing
-FASTEST = 60.0  # rad/s: no limb turns faster, few gyroscopes measure it
+WRONG_UNIT = 15  # times too large or too small: no scale, a unit
+TILTED_DEG = 60.0  # mean acceleration this far from upright is no movement and no bad calibration
 
 
 def factors(options: Options) -> tuple[float, float]:
@@ -32,35 +40,6 @@ def factors(options: Options) -> tuple[float, float]:
     )
 
 
-def _stillest(acc: Array, rate_hz: float) -> tuple[Array, Array]:
-    """Mean |acc| and spread of acc in each sensor's stillest window: (S,), (S,), NaN where none."""
-    n = max(4, round(STILL_WINDOW_S * rate_hz))
-    S = acc.shape[1]
-    if len(acc) < n:
-        return np.full(S, np.nan), np.full(S, np.nan)
-    cut = acc[: len(acc) // n * n].reshape(-1, n, S, 3)
-    spread = np.sqrt(cut.var(axis=1).sum(axis=-1))
-    spread[~np.isfinite(spread)] = np.inf
-    best = spread.argmin(axis=0)
-    size = np.linalg.norm(cut.mean(axis=1), axis=-1)
-    each = np.arange(S)
-    still = np.isfinite(spread[best, each])
-    return (
-        np.where(still, size[best, each], np.nan),
-        np.where(still, spread[best, each], np.nan),
-    )
-
-
-def gravity_size(acc: Array, rate_hz: float) -> Array:
-    """(S,) what each accelerometer reads when it is still, in its own unit; NaN where never still.
-
-    Still: the spread within half a second is below 5 % of the reading.
-    """
-    size, spread = _stillest(acc, rate_hz)
-    with np.errstate(invalid="ignore"):
-        return np.where(spread < 0.05 * size, size, np.nan)
-
-
 def raw(path: Path, rec: RawRecording) -> list[str]:
     """Warnings on a raw recording; raises FormatError where units or axes contradict gravity."""
     doubts = gap_report(rec.valid, rec.sensors)
@@ -69,30 +48,41 @@ def raw(path: Path, rec: RawRecording) -> list[str]:
         doubts += half_report(rec.valid & ~has, rec.sensors, "orientation")
     doubts += _accelerometer(path, rec)
     doubts += _gyroscope(path, rec)
-    doubts += _up(path, rec)
-    return doubts
+    return doubts + _up(path, rec)
 
 
 def _accelerometer(path: Path, rec: RawRecording) -> list[str]:
-    """Size of gravity: when still, else as the mean of what the orientation turns into the world."""
+    """Size of gravity in still windows; where there is none, in the slowest tenth of the time."""
     still = gravity_size(rec.acc, rec.rate_hz)
-    mean = np.linalg.norm(_mean_force(rec), axis=-1)
+    slow = np.array([_slow(rec, s) for s in range(len(rec.sensors))])
+    mean = np.linalg.norm(unit_checks.mean_force(rec), axis=1)
     doubts = []
     for s, name in enumerate(rec.sensors):
-        size, when = (still[s], "when still") if np.isfinite(still[s]) else (mean[s], "on average")
+        where = f"sensor {name}: acc"
+        size, when = (still[s], "when still") if np.isfinite(still[s]) else (slow[s], "when slow")
         if not np.isfinite(size):
             continue
-        where = f"sensor {name}: acc"
-        off = abs(size / GRAVITY - 1)
-        if off > (0.15 if when == "when still" else 0.4):
+        if when == "when slow" and size < 3 and mean[s] < 0.25 * size:
+            size, when = mean[s], "on average"  # what the orientation turns cancels: no gravity
+        # A sensor that never rests reads up to a few g; its unit is wrong where none could be.
+        off = abs(size / GRAVITY - 1) > 0.15 if when == "when still" else bool(_guess(size))
+        if off:
             raise FormatError(
                 path, f"{size:.3g} {when}, expected {GRAVITY:.2f} m/s^2{_guess(size)}", where
             )
-        if off > 0.05 and when == "when still":
+        if abs(size / GRAVITY - 1) > 0.05 and when == "when still":
             doubts.append(f"{where}: {size:.2f} m/s^2 {when}, expected {GRAVITY:.2f}")
-    if not (np.isfinite(still) | np.isfinite(mean)).any() and np.isfinite(rec.acc).any():
+    if not (np.isfinite(still) | np.isfinite(slow)).any() and np.isfinite(rec.acc).any():
         doubts.append("no sensor is ever still for half a second: the unit of acc is not checked")
     return doubts
+
+
+def _slow(rec: RawRecording, s: int) -> float:
+    """|mean acc| of sensor `s` in its slowest half seconds; NaN without orientation or under 2 s."""
+    ok = rec.valid[:, s] & np.isfinite(rec.acc[:, s]).all(-1) & np.isfinite(rec.gyr[:, s]).all(-1)
+    if rec.R_world_sensor is None or ok.sum() < 2 * rec.rate_hz:
+        return float("nan")
+    return unit_checks.constant_force(rec.gyr[ok, s], rec.acc[ok, s], rec.rate_hz)
 
 
 def _guess(size: float) -> str:
@@ -106,118 +96,63 @@ def _guess(size: float) -> str:
     return ", so gravity was removed, and raw acceleration must hold it" if size < 0.5 else ""
 
 
-def _mean_force(rec: RawRecording) -> Array:
-    """(S,3) mean of R_world_sensor acc, about (0, 9.81, 0); NaN without orientation or under 2 s."""
-    out = np.full((len(rec.sensors), 3), np.nan)
-    if rec.R_world_sensor is None:
-        return out
-    force = np.einsum("tsij,tsj->tsi", rec.R_world_sensor, rec.acc)
-    ok = np.isfinite(force).all(-1)
-    for s in np.flatnonzero(ok.sum(axis=0) >= 2 * rec.rate_hz):
-        out[s] = force[ok[:, s], s].mean(axis=0)
-    return out
-
-
 def _swing(rec: RawRecording | Recording) -> float:
     """What the mean acceleration of a limb may be, m/s^2: its change of speed over the time."""
     return 1.0 + LIMB_SPEED / rec.seconds
 
 
-def _gyr_ratio(rec: RawRecording, s: int) -> tuple[float | None, str]:
-    """How many times larger gyr is than what it should measure, and by what that is known."""
-    if rec.R_world_sensor is not None:
-        ratio = rate_ratio(rec, s)
-        if ratio is not None:
-            return ratio, "the orientation turns"
-    return _tilt_ratio(rec.acc[:, s], rec.gyr[:, s], rec.rate_hz), "gravity in acc turns"
-
-
-def _fastest(rec: RawRecording, s: int) -> float:
-    """99th percentile of |gyr|; 0 without a finite sample."""
-    size = np.linalg.norm(rec.gyr[:, s], axis=-1)
-    size = size[np.isfinite(size)]
-    return float(np.quantile(size, 0.99)) if len(size) else 0.0
-
-
 def gyr_in_degrees(rec: RawRecording) -> bool:
     """Whether most sensors whose gyr can be checked turn 15 times too fast, or all implausibly fast."""
-    ratios = [_gyr_ratio(rec, s)[0] for s in range(len(rec.sensors))]
-    known = [r for r in ratios if r is not None]
+    each = range(len(rec.sensors))
+    known = [r for s in each if (r := unit_checks.gyr_ratio(rec, s)[0]) is not None]
     if known:
-        return float(np.median(known)) > 15
-    return max(_fastest(rec, s) for s in range(len(rec.sensors))) > FASTEST
+        return float(np.median(known)) > WRONG_UNIT
+    return max(unit_checks.fastest(rec, s) for s in each) > FASTEST
 
 
 def _gyroscope(path: Path, rec: RawRecording) -> list[str]:
     """Unit of gyr: against the rate of the orientation, else against how gravity moves in acc."""
-    doubts = []
     for s, name in enumerate(rec.sensors):
         where = f"sensor {name}: gyr"
-        ratio, by = _gyr_ratio(rec, s)
-        fast = _fastest(rec, s)
-        if (ratio is not None and ratio > 15) or (ratio is None and fast > FASTEST):
+        ratio, by = unit_checks.gyr_ratio(rec, s)
+        fast = unit_checks.fastest(rec, s)
+        if (ratio is not None and ratio > WRONG_UNIT) or (ratio is None and fast > FASTEST):
             found = f"{ratio:.0f} times what {by}" if ratio else f"up to {fast:.0f} rad/s"
             raise FormatError(path, f"{found}: in degrees (--units deg/s)?", where)
-        if ratio is not None and ratio < 1 / 15:
+        if ratio is not None and ratio < 1 / WRONG_UNIT:
             found = f"{1 / ratio:.0f} times less than {by}"
             raise FormatError(path, f"{found}: in rad already (--units rad/s)?", where)
-        if ratio is not None and by.startswith("the") and not 0.5 < ratio < 2:
-            doubts.append(f"{where}: {ratio:.2f} times the rate at which the orientation turns")
-    return doubts
-
-
-def rate_ratio(rec: RawRecording, s: int) -> float | None:
-    """|gyr| over |rate of R_world_sensor| of sensor `s` where it turns most; None if it hardly does."""
-    assert rec.R_world_sensor is not None
-    R = rec.R_world_sensor[:, s]
-    w = np.linalg.norm(ori.log(np.swapaxes(R[:-1], -1, -2) @ R[1:]), axis=-1) * rec.rate_hz
-    g = np.linalg.norm(rec.gyr[1:, s], axis=-1)
-    ok = np.isfinite(w) & np.isfinite(g)
-    if ok.sum() < 20:
-        return None
-    w, g = w[ok], g[ok]
-    top = w >= np.quantile(w, 0.8)
-    turning, measured = float(np.median(w[top])), float(np.median(g[top]))
-    if turning < 0.3 or measured < 1e-4:
-        return None
-    return measured / turning
-
-
-def _tilt_ratio(acc: Array, gyr: Array, rate_hz: float) -> float | None:
-    """How many times larger gyr is than the turning of gravity in acc, or None where unclear.
-
-    For slow motion d acc/dt = -gyr x acc; regressing the left on the right over smoothed signals
-    gives 1/ratio. Only the order of magnitude counts.
-    """
-    n = max(3, round(0.5 * rate_hz))
-    if len(acc) < 8 * n:
-        return None
-    a, w = smoothed(acc, n), smoothed(gyr, n)
-    da = np.gradient(a, 1 / rate_hz, axis=0)
-    turn = -np.cross(w, a)
-    ok = np.isfinite(da).all(-1) & np.isfinite(turn).all(-1)
-    if ok.sum() < 4 * n:
-        return None
-    da, turn = da[ok], turn[ok]
-    xy, xx, yy = (da * turn).sum(), (turn * turn).sum(), (da * da).sum()
-    if xx == 0 or yy == 0 or xy / np.sqrt(xx * yy) < 0.6:
-        return None
-    return float(xx / xy)
+    if rec.R_world_sensor is None:
+        return []
+    return [f.sentence for f in check_rates(rec).findings]
 
 
 def _up(path: Path, rec: RawRecording) -> list[str]:
-    """Whether R_world_sensor turns the mean specific force upright."""
-    doubts = []
-    for name, mean in zip(rec.sensors, _mean_force(rec), strict=True):
+    """Whether R_world_sensor turns the mean specific force upright, and if not, why."""
+    wrong: list[tuple[str, str, bool]] = []
+    for name, mean in zip(rec.sensors, unit_checks.mean_force(rec), strict=True):
         if not np.isfinite(mean).all():
             continue
         tilt = np.rad2deg(np.arccos(np.clip(mean[1] / max(np.linalg.norm(mean), 1e-9), -1, 1)))
-        where = f"sensor {name}: orientation"
         found = f"turns the mean acceleration to ({mean[0]:.1f}, {mean[1]:.1f}, {mean[2]:.1f})"
-        if tilt > 60:
-            raise FormatError(path, f"{found}, expected (0, {GRAVITY:.1f}, 0): y up", where)
-        if np.hypot(mean[0], mean[2]) > _swing(rec):
-            doubts.append(f"{where} {found} m/s^2, {tilt:.0f} deg off the vertical")
+        if tilt > TILTED_DEG:
+            wrong.append((name, f"{found}, expected (0, {GRAVITY:.1f}, 0): y up", True))
+        elif np.hypot(mean[0], mean[2]) > _swing(rec):
+            wrong.append((name, f"{found} m/s^2, {tilt:.0f} deg off the vertical", False))
+    if not wrong:
+        return []
+    named: dict[str | None, list[str]] = {}
+    for f in sensor_checks.check_sensors(rec):
+        if f.severity == "error":
+            named.setdefault(f.sensor, []).append(f.sentence)
+    doubts: list[str] = []
+    for name, found, refused in wrong:
+        if name in named:
+            doubts += named[name]
+        elif refused:
+            raise FormatError(path, found, f"sensor {name}: orientation")
+        else:
+            doubts.append(f"sensor {name}: orientation {found}")
     return doubts
 
 

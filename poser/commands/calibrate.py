@@ -120,19 +120,14 @@ def _with_doubts(
         if text in told or not (sensor is None or sensor in calibration.sensors):
             continue
         gap = re.match(r"\d+ of \d+ samples ", text)
-        code = (
-            "missing-samples" if gap else "reader"
-        )  # several may share it, unlike those of the checks
+        # Several may share this code, unlike those of the checks.
+        code = "missing-samples" if gap else "reader"
         severity: Severity = "info" if gap else "warning"
         more.append(Finding(severity, sensor, code, text))
     if not more:
         return recording, calibration
-    calibration = replace(
-        calibration,
-        diagnostics=tuple(
-            sorted([*calibration.diagnostics, *more], key=lambda f: ORDER[f.severity])
-        ),
-    )
+    more = sorted([*calibration.diagnostics, *more], key=lambda f: ORDER[f.severity])
+    calibration = replace(calibration, diagnostics=tuple(more))
     return replace(recording, calibration=calibration.to_dict()), calibration
 
 
