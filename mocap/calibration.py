@@ -23,9 +23,9 @@ from typing import Any, Literal
 
 import numpy as np
 
+from mocap import arm_checks, fusion
 from mocap import diagnostics as checks
 from mocap import facing as face
-from mocap import fusion
 from mocap import headings as heads
 from mocap import orientation as ori
 from mocap import sensors as places
@@ -224,6 +224,8 @@ def calibrate(
     if strict and any(f.severity == "error" for f in findings):
         raise CalibrationError(checks.summary(findings))
     window = find_static(raw, at)
+    if window.rival:
+        findings.append(_rival(raw, window))
     fused = raw if source == "file" else fusion.with_orientation(raw)
     static = average(fused, window)
     told: list[face.Cue] = []
@@ -239,6 +241,10 @@ def calibrate(
         text = f"the second pose is not used: {method} says otherwise of where the wearer faced"
         findings.append(Finding("warning", None, "second-pose-disagrees", text))
     findings += checks.check_result(fused, window, static, heading, sigma, pose)
+    other = arm_checks.check_pose_name(fused, window, static, heading, sigma, pose, arm_angle_deg)
+    if other:
+        # Arms that start from another pose than said seem to go to the wrong side.
+        findings = [f for f in findings if f.code != "swapped"] + other
     # Standing people turn by less than 5 deg/s, 17 with the realistic noise; in walking it is 50 and more.
     if not window.still and window.rate > NEVER_STILL:
         findings = [
@@ -261,6 +267,17 @@ def calibrate(
         _scale(static) if scale_acc and window.still else np.ones(len(raw.sensors)),
     )
     return result._apply(fused), result
+
+
+def _rival(raw: RawRecording, window: Window) -> Finding:
+    assert window.rival is not None
+    a, b = window.seconds(raw)
+    c, d = (raw.start_s + k / raw.rate_hz for k in window.rival)
+    text = (
+        f"the pose is taken at {a:.2f} to {b:.2f} s, but at {c:.2f} to {d:.2f} s the body is about as still "
+        f"in another posture: if that is the pose, name its time (--at {(c + d) / 2:.1f})"
+    )
+    return Finding("warning", None, "pose-ambiguous", text)
 
 
 def _scale(static: Pose) -> Array:

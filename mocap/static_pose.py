@@ -23,7 +23,10 @@ NOISE_S = 1.0  # the gyroscopes' noise is taken where it is least over this time
 CALM_S = 1.0
 NEVER_STILL = 0.6  # rad/s: if the calmest moments are faster than this, nobody stood still
 MIN_S, MAX_S = 0.5, 2.0  # shortest run that counts as a pose, longest part of it that is averaged
-IMPLAUSIBLE_DEG = 40.0  # trunk or thighs this far from where they are in motion: sitting, lying
+# Trunk or thighs this far from where they are in motion: sitting, lying; or standing before deep movement.
+IMPLAUSIBLE_DEG = 40.0
+RIVAL = 1 / 3  # of the best score: another window that good, in another posture, is worth a word
+POSTURE_DEG = 30.0  # tilt of some sensor from which two windows are in different postures
 _UPRIGHT = ("pelvis", "sternum", "lower_back", "upper_back", "left_thigh", "right_thigh",
             "left_shank", "right_shank")  # fmt: skip
 
@@ -33,7 +36,8 @@ class Window:
     """Frames start to stop-1, taken for the static pose.
 
     rate: mean smoothed rate of rotation over sensors and frames, rad/s. still: whether it is a still
-    run (False: the time was given and the wearer moved then). found: by search, not by a given time.
+    run (False: the time was given and the wearer moved then). found: by search, not by a given time. rival:
+    frames of another still window, in another posture, that would be about as good; None where there is none.
     """
 
     start: int
@@ -41,6 +45,7 @@ class Window:
     rate: float
     still: bool
     found: bool
+    rival: tuple[int, int] | None = None
 
     def seconds(self, raw: RawRecording) -> tuple[float, float]:
         """Start and end in s on the recording's clock."""
@@ -135,7 +140,8 @@ def find_static(raw: RawRecording, at: float | None = None) -> Window:
     at: a time in s on the recording's clock (`raw.start_s` is frame 0); the still run around it, at
     most 1 s to each side, or 0.25 s to each side where the wearer moved. Without it: the best still
     run: long (up to MAX_S), calm, early (recordings begin with the pose), and with trunk and legs
-    held roughly as during the rest of the recording, which a wearer who sits or lies does not.
+    held roughly as during the rest of the recording, which a wearer who sits or lies does not. Where one in
+    another posture has more than RIVAL of its score, that is the window's `rival`.
     Raises CalibrationError where `at` lies outside the recording or nothing is still.
     """
     rate = stillness(raw)
@@ -152,8 +158,28 @@ def find_static(raw: RawRecording, at: float | None = None) -> Window:
     slow = stillness(raw, CALM_S)
     windows = [_calmest(slow, a, b, raw.rate_hz) for a, b in runs]
     scores = [_score(raw, rate, a, b) for a, b in windows]
-    start, stop = windows[int(np.argmax(scores))]
-    return Window(start, stop, float(rate[start:stop].mean()), True, True)
+    order = np.argsort(scores)[::-1]
+    start, stop = windows[order[0]]
+    rivals = [
+        windows[k]
+        for k in order[1:]
+        if scores[k] > RIVAL * scores[order[0]]
+        and _apart_deg(raw, windows[k], (start, stop)) > POSTURE_DEG
+    ]
+    rival = rivals[0] if rivals else None
+    return Window(start, stop, float(rate[start:stop].mean()), True, True, rival)
+
+
+def _apart_deg(raw: RawRecording, first: tuple[int, int], other: tuple[int, int]) -> float:
+    """Tilt in deg of the sensor that differs most between two still windows; 0 if none is seen."""
+    means = []
+    for a, b in (first, other):
+        ok = raw.valid[a:b, :, None]
+        count = np.maximum(ok.sum(axis=0), 1)
+        means.append(np.where(ok, np.nan_to_num(raw.acc[a:b]), 0.0).sum(axis=0) / count)
+    size = np.linalg.norm(means[0], axis=1) * np.linalg.norm(means[1], axis=1)
+    cos = np.einsum("si,si->s", *means) / np.maximum(size, 1e-9)
+    return float(np.degrees(np.arccos(np.clip(np.where(size > 0, cos, 1.0), -1, 1))).max())
 
 
 def average(raw: RawRecording, window: Window) -> Pose:
@@ -228,12 +254,16 @@ def _calmest(slow: Array, a: int, b: int, rate_hz: float) -> tuple[int, int]:
 
 
 def _score(raw: RawRecording, rate: Array, a: int, b: int) -> float:
-    """Between 0 and 1: length, calmness, earliness, plausibility of a window."""
-    length = min(1.0, (b - a) / (MAX_S * raw.rate_hz))
+    """Between 0 and 1: length, calmness, earliness, plausibility of a window.
+
+    Length counts squared: a moment of rest is common, a stance of MAX_S is meant. A lean of l deg counts
+    1 / (1 + (l / IMPLAUSIBLE_DEG)^4): 0.05 for a seat, but 0.3 for a stance before squats and low dances.
+    """
+    length = min(1.0, (b - a) / (MAX_S * raw.rate_hz)) ** 2
     calm = 1.0 / (1.0 + (rate[a:b].mean() / STILL_RATE) ** 2)
     early = 1.0 - 0.7 * a / len(raw)
     lean = _lean_from_motion(raw, rate, a, b)
-    plausible = 1.0 if lean < IMPLAUSIBLE_DEG else 0.1
+    plausible = 1.0 / (1.0 + (lean / IMPLAUSIBLE_DEG) ** 4)
     return float(length * calm * early * plausible)
 
 
