@@ -97,8 +97,8 @@ def _rate(raw: RawRecording, ratio: float, what: str) -> Finding:
     """gyr of most sensors is `ratio` times what turns: time steps are taken for `ratio` times as long."""
     rate = raw.rate_hz * ratio
     text = (
-        f"the sampling rate is probably {rate:.3g} Hz, not {raw.rate_hz:.4g} (or gyr of all sensors is "
-        f"{ratio:.2f} times too large): by this rate {what} {1 / ratio:.2f} times as fast as gyr says"
+        f"the sampling rate is probably {rate:.3g} Hz, not {raw.rate_hz:.4g} (or all gyr is scaled "
+        f"by {ratio:.2f}): by this rate {what} {1 / ratio:.2f} times as fast as gyr says"
     )
     return Finding("error", None, "sampling-rate", text, rate)
 
