@@ -27,6 +27,7 @@ BODY = ("pelvis", "sternum", "lower_back", "upper_back", "left_thigh", "right_th
         "right_pocket", "left_shank", "right_shank")  # fmt: skip
 UPRIGHT_DEG = 25.0  # mean tilt since the pose of trunk and legs
 STILL_S, UPRIGHT_S = 1.0, 5.0  # standing still, or upright at all, for that long: enough to tell by
+CERTAIN_S = 10.0  # upright: a short recording may hold nothing but both poses
 APART = 0.2  # by how much more downward the arms must point by one name than by the other, median
 HANGING = 0.5  # down from which an arm hangs
 HELD_DEG = 35.0  # tilt since the pose up to which arms are as in the pose
@@ -49,7 +50,7 @@ def check_pose_name(
 
     facing (S,) rad: the wearer's forward in each sensor's world, sigma (S,) its uncertainty. Judged over the
     frames in which the wearer stands still and upright outside the window, else over all upright ones. An
-    error where a pair of upper arms and one of forearms say T both then and over all upright frames. Of
+    error where a pair of upper arms and one of forearms say T both then and over 10 s of upright frames. Of
     several pairs the one nearest to the trunk counts; forearms alone say T only of a later stance.
 
     Not seen: a pose without a pair of sensors on the arms, or with too little upright time after it; arms
@@ -73,7 +74,12 @@ def check_pose_name(
             continue  # forearms are held in front of the body for minutes
         said = [_say(ups, phi, chosen, upright, name, arm_angle_deg) for ups, phi in pairs]
         if said[0]:
-            sure = chosen is still and len(said) > 1 and all(x is not None and x[1] for x in said)
+            sure = (
+                chosen is still
+                and upright.sum() >= CERTAIN_S * raw.rate_hz
+                and len(said) > 1
+                and all(x is not None and x[1] for x in said)
+            )
             return [_finding(name, said[0][0], when, sure)]
     return []
 
@@ -199,7 +205,7 @@ def _facing(
         cues = face.from_motion(raw, pose, window)
         if len(cues) > 1:
             phi, spread, kept = face.combine(cues)
-            if spread < np.radians(SIGMA_DEG) and len(kept) > 1:
+            if spread < np.radians(SIGMA_DEG) and not face.ambiguous(cues, phi, kept):
                 return np.full(2, phi)
     if (sigma[worn] < np.radians(SIGMA_DEG)).all():
         return facing[worn]

@@ -49,10 +49,10 @@ class Calibration:
 
     sensors: their places. R_bone_sensor (S,3,3). heading (S,) rad: turns each sensor's world about y
     into the one in which the wearer faced +z in the pose. heading_sigma (S,) rad: 1-sigma of it, pi
-    where it was merely assumed. pose: "n" or "t". arm_angle_deg: of the N-pose. time: start and end of
-    the pose in s on the recording's clock. method: what the heading rests on, in words. orientation:
-    "file" or "vqf" (with "vqf" and no magnetometer the headings hold for this recording alone,
-    R_bone_sensor for as long as the sensors stay where they are). diagnostics: the findings.
+    where it was merely assumed or could be the opposite. pose: "n" or "t". arm_angle_deg: of the N-pose.
+    time: start and end of the pose in s on the recording's clock. method: what the heading rests on, in
+    words. orientation: "file" or "vqf" (with "vqf" and no magnetometer the headings hold for this recording
+    alone, R_bone_sensor for as long as the sensors stay where they are). diagnostics: the findings.
     acc_scale (S,): factor on acc, ones unless given.
     """
 
@@ -300,7 +300,11 @@ def _headings(
     if raw.common_heading:
         phi, sigma, kept = face.combine(cues)
         method = ", ".join(dict.fromkeys(c.method for c in kept))
-        return np.full(S, phi), np.full(S, sigma), method, []
+        said = [_heading_off(c, off) for c, off in face.heading_off(cues, phi, kept)]
+        if face.ambiguous(cues, phi, kept):
+            sigma = np.pi
+            said.append(_ambiguous(phi, method))
+        return np.full(S, phi), np.full(S, sigma), method, said
     relatives = heads.shared_acceleration(raw, joints)
     all_phi, all_sigma = heads.solve(raw.sensors, cues, relatives)
     lost = ~np.isfinite(all_phi)
@@ -311,6 +315,22 @@ def _headings(
     if relatives:
         used["shared acceleration of neighbours"] = None
     return all_phi, all_sigma, "own headings: " + ", ".join(used), said
+
+
+def _ambiguous(phi: float, method: str) -> Finding:
+    text = (
+        f"the wearer faces {np.degrees(phi):.0f} deg in the sensors' world by the {method}, but it could be "
+        f"the opposite way, {np.degrees(face.wrap(phi + np.pi)):.0f} deg: give the facing (--facing)"
+    )
+    return Finding("warning", None, "facing-ambiguous", text, 180.0)
+
+
+def _heading_off(cue: face.Cue, off: float) -> Finding:
+    text = (
+        f"sensor {cue.sensor}: its heading is {np.degrees(off):+.0f} deg from that of the others, by the "
+        f"{cue.method}: its world is not theirs"
+    )
+    return Finding("warning", cue.sensor, "heading-off", text, float(np.degrees(off)))
 
 
 def _assumed(sensor: str | None) -> Finding:

@@ -29,8 +29,8 @@ def _frozen(raw: RawRecording) -> list[Finding]:
     """One finding for each sensor that repeats its sample for over `HELD_S` while most others move.
 
     Noise-free data of limbs at rest repeats samples as well, which is right: only a sensor that is dead
-    throughout, holds a rate other than zero, or jumps where the run ends is accused. Samples that are
-    not valid are gaps and end a run.
+    throughout, holds a rate other than zero, or jumps where the run ends is accused, and where others rest
+    to the bit, too, warned of. Samples that are not valid are gaps and end a run.
     """
     found = []
     for s, name in enumerate(raw.sensors):
@@ -51,8 +51,16 @@ def _frozen(raw: RawRecording) -> list[Finding]:
         )
         T = len(raw)
         padding = (a == 0 or b == T) and b - a < EDGE * T and len(bad) == 1
-        found.append(Finding("warning" if padding else "error", name, "frozen", text, seconds))
+        doubtful = padding or (_noiseless(raw, s) and not _impossible(raw, s, a, b))
+        found.append(Finding("warning" if doubtful else "error", name, "frozen", text, seconds))
     return found
+
+
+def _noiseless(raw: RawRecording, s: int) -> bool:
+    """Whether a sensor other than `s` rests to the bit as well: computed data, in which rest is no fault."""
+    others = (r for r in range(len(raw.sensors)) if r != s)
+    longest = (max((b - a for a, b in _held(raw, r)), default=0) for r in others)
+    return any(n > HELD_S * raw.rate_hz for n in longest)
 
 
 def _held(raw: RawRecording, s: int) -> list[tuple[int, int]]:

@@ -50,6 +50,9 @@ HANGING_FLOOR_DEG = 12.0  # arms come down a little forward, and forearms bend
 POSE_FLOOR_DEG = 6.0  # how exactly people raise their arms to the side
 LONE = np.radians(30.0)
 AGREEING = 0.75  # share of the weight that must agree, or the answer is doubtful
+OPPOSITE = 0.2  # share of the weight near the opposite heading from which that is possible, too
+SHARP_DEG = 15.0  # sigma below which a cue that all others contradict is a wrong heading
+FROM_MOTION = ("hinge", "leaning", "arm swing", "hanging")  # beginnings of the methods of such cues
 KNOWN_FLOOR_DEG = 5.0  # how exactly a sensor is strapped on
 
 
@@ -319,6 +322,41 @@ def combine(cues: list[Cue]) -> tuple[float, float, list[Cue]]:
     if w.sum() < AGREEING * total:
         sigma = np.hypot(sigma, np.pi / 4)  # too many say something else
     return mean, float(sigma), kept
+
+
+def ambiguous(cues: list[Cue], heading: float, kept: list[Cue]) -> bool:
+    """Could the wearer as well face the opposite of `heading` (rad), which `combine` found with `kept`?
+
+    A cue from motion tells an axis well and its sign less so. It is so where the sign rests on one such cue,
+    or where OPPOSITE of the weight lies within 60 deg of the opposite heading. Never where a fact was given.
+    """
+    if not all(c.method.startswith(FROM_MOTION) for c in kept):
+        return False
+    if len(kept) == 1:
+        return True
+    weight = np.array([c.sigma for c in cues]) ** -2
+    off = np.abs(wrap(np.array([c.heading for c in cues]) - heading))
+    return bool(weight[off > np.radians(120)].sum() > OPPOSITE * weight.sum())
+
+
+def heading_off(cues: list[Cue], heading: float, kept: list[Cue]) -> list[tuple[Cue, float]]:
+    """Sharp cues that contradict all others by 50 to 130 deg, with that angle in rad: wrong headings.
+
+    Only where at least three sensors and AGREEING of the weight agree with each other, and the cue is
+    sharper than SHARP_DEG: dancing legs turn about any axis, but bluntly. An angle near 180 deg is a sign
+    that is wrong, or sides that are exchanged.
+    """
+    weight = {c: c.sigma**-2 for c in cues}
+    out = []
+    for c in cues:
+        off = float(wrap(c.heading - heading))
+        if c in kept or c.sigma > np.radians(SHARP_DEG) or not 50 <= abs(np.degrees(off)) <= 130:
+            continue
+        others = sum(w for x, w in weight.items() if x is not c)
+        agreeing = sum(weight[x] for x in kept)
+        if len({x.sensor for x in kept}) >= 3 and agreeing > AGREEING * others:
+            out.append((c, off))
+    return out
 
 
 def pelvis_first(sensors: tuple[str, ...]) -> str:

@@ -2,13 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from people import clip, worn
 
 from mocap import orientation as ori
+from mocap import sensors as places
+from mocap.calibration import calibrate
 from mocap.errors import CalibrationError
-from mocap.facing import Cue, combine, complex_heading, hinge, lean, wrap
+from mocap.facing import (
+    Cue,
+    ambiguous,
+    combine,
+    complex_heading,
+    heading_off,
+    hinge,
+    lean,
+    wrap,
+)
 from mocap.headings import Relative, comparable, distance, limb, solve
+from poser.motions import builtin
 
 
 def test_complex_heading_turns_with_the_world() -> None:
@@ -53,6 +68,72 @@ def test_combine_leaves_out_the_one_that_is_turned() -> None:
     assert combine([cues[0], cues[3]])[1] > np.radians(45)  # one against one
     with pytest.raises(CalibrationError, match="no cue"):
         combine([])
+
+
+def cues_at(
+    *degrees: float, sigma_deg: float = 10.0, method: str = "hinge of the shank"
+) -> list[Cue]:
+    return [
+        Cue(f"s{k}", np.radians(d), np.radians(sigma_deg), method) for k, d in enumerate(degrees)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("degrees", "expected"),
+    [
+        ((10,), True),
+        ((0, 10), False),
+        ((0, 10, 175), True),
+        ((0, 10, 90), False),
+        ((0, 5, 5, 5, 5, 180), False),
+    ],
+)
+def test_a_sign_that_rests_on_little_is_ambiguous(
+    degrees: tuple[float, ...], expected: bool
+) -> None:
+    cues = cues_at(*degrees)
+    mean, _, kept = combine(cues)
+    assert ambiguous(cues, mean, kept) is expected
+
+
+def test_a_given_facing_is_not_ambiguous() -> None:
+    cues = cues_at(10, method="facing as given")
+    assert not ambiguous(cues, cues[0].heading, cues)
+
+
+@pytest.mark.parametrize("off", [60.0, -90.0])
+def test_a_sharp_cue_against_all_others_is_a_heading_that_is_off(off: float) -> None:
+    cues = cues_at(0, 3, -3, off)
+    mean, _, kept = combine(cues)
+    ((cue, angle),) = heading_off(cues, mean, kept)
+    assert cue is cues[3] and np.degrees(angle) == pytest.approx(off)
+    assert heading_off(cues[1:], mean, kept[1:]) == []  # two are not enough
+    blunt = [*cues[:3], *cues_at(off, sigma_deg=20.0)]
+    assert heading_off(blunt, mean, kept) == []
+
+
+@pytest.mark.parametrize("sensor", ["right_shank", "right_thigh"])
+def test_a_sensor_with_a_heading_of_its_own_in_a_suit_is_named(sensor: str) -> None:
+    raw = worn(builtin(60.0, 22.6), places.SUIT)
+    assert raw.R_world_sensor is not None
+    R = np.array(raw.R_world_sensor)
+    s = raw.sensors.index(sensor)
+    R[:, s] = ori.rot_y(np.radians(60)) @ R[:, s]
+    _, cal = calibrate(replace(raw, R_world_sensor=R), strict=False)
+    (said,) = [f for f in cal.diagnostics if f.code == "heading-off"]
+    assert said.sensor == sensor and said.value == pytest.approx(60, abs=10)
+    assert "heading-off" not in {f.code for f in calibrate(raw)[1].diagnostics}
+
+
+@pytest.mark.parametrize("name", ["salsa_01", "indian_14", "salsa_16"])
+def test_a_facing_that_may_be_opposite_is_not_called_known(name: str) -> None:
+    motion = clip(name)
+    _, cal = calibrate(worn(motion, places.SIX), at=1.5, strict=False)
+    off = wrap(-cal.heading[0] - ori.heading(motion.R_world_joint[0, 0]))
+    said = {f.code for f in cal.diagnostics}
+    assert abs(off) < np.radians(50) or (
+        "facing-ambiguous" in said and cal.heading_sigma[0] == np.pi
+    )
 
 
 def test_solve_spreads_a_cue_along_the_edges() -> None:

@@ -70,7 +70,10 @@ def test_a_sensor_frozen_throughout(raw: RawRecording) -> None:
     )
     assert (SENSORS[2], "frozen") in codes(dead)
     (finding,) = check_channels(dead)
-    assert finding.severity == "error" and "repeats one sample" in finding.sentence
+    # In noise-free data the pelvis rests to the bit as well: only noise makes such rest a fault.
+    rests = (raw.gyr[1:, 3] == raw.gyr[:-1, 3]).all(axis=-1).sum() > raw.rate_hz
+    assert finding.severity == ("warning" if rests else "error")
+    assert "repeats one sample" in finding.sentence
 
 
 def test_a_sensor_that_freezes_in_motion(raw: RawRecording) -> None:
