@@ -241,6 +241,9 @@ def calibrate(
         text = f"the second pose is not used: {method} says otherwise of where the wearer faced"
         findings.append(Finding("warning", None, "second-pose-disagrees", text))
     findings += checks.check_result(fused, window, static, heading, sigma, pose)
+    # The heading cue of a sensor that slipped is wrong since then: that is no other fault.
+    slipped = {f.sensor for f in findings if f.code == "slipped"}
+    findings = [f for f in findings if f.code != "heading-off" or f.sensor not in slipped]
     other = arm_checks.check_pose_name(fused, window, static, heading, sigma, pose, arm_angle_deg)
     if other:
         # Arms that start from another pose than said seem to go to the wrong side.

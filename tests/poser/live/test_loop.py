@@ -218,7 +218,7 @@ def test_over_the_network(recording: Recording, free_port: int, kind: str) -> No
         off.append(ori.angle_between(pose.R_parent_joint, expected.R_parent_joint).max())
         still = sink.poses[0].R_parent_joint
         moved.append(ori.angle_between(still, expected.R_parent_joint).max())
-    assert np.median(off) < 0.05 < 0.2 < np.median(moved)  # standing still would be noticed
+    assert np.median(off) < 0.1 < 0.2 < np.median(moved)  # standing still would be noticed
     latency = report.lag.quantile_ms(0.5)
     assert latency is not None and 0 < latency < 500
 
