@@ -153,8 +153,8 @@ def stretches(
     starts = np.array([a for a in starts if ok[a : a + n].mean() > 0.9], int)
     if len(starts) < MIN_WINDOWS:
         return None
-    turning = np.array([np.linalg.norm(gyr[a : a + n], axis=1).sum() for a in starts])
-    frames = starts[np.argsort(-turning, kind="stable")[:most], None] + np.arange(n)
+    turned = np.array([np.linalg.norm(gyr[a : a + n], axis=1).sum() for a in starts])
+    frames = starts[np.argsort(-turned, kind="stable")[:most], None] + np.arange(n)
     return gyr[frames], acc[frames], rate
 
 

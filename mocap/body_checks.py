@@ -15,15 +15,10 @@ import numpy as np
 from mocap import facing as face
 from mocap import headings as heads
 from mocap.findings import Finding
-from mocap.limb_levels import activity, check_swapped
+from mocap.limb_levels import activity
 from mocap.orientation import Array
 from mocap.recording import RawRecording, gaps
-from mocap.side_checks import check_sides
 from mocap.static_pose import Pose, Window, still_runs, tilt_from_pose
-
-__all__ = [
-    "activity", "check_lags", "check_leaning", "check_pose", "check_sides", "check_slipped", "check_swapped",
-]  # fmt: skip
 
 MOVED_DEG = 5.0
 SLIPPED_DEG, REST_DEG = 12.0, 6.0  # tilt of one sensor since the pose; of the others meanwhile

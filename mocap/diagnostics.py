@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mocap import body_checks, fusion, sensor_checks, side_checks
+from mocap import body_checks, fusion, limb_levels, sensor_checks, side_checks
 from mocap import facing as face
 from mocap import orientation as ori
 from mocap import sensors as places
@@ -35,7 +35,7 @@ def diagnose(raw: RawRecording, calibration: Calibration | None = None) -> list[
         if not any(f.severity == "error" for f in found):
             joints, _ = places.joints_and_seats(raw.sensors)
             R = raw.R_world_sensor if raw.common_heading else None
-            found += body_checks.check_swapped(raw, joints, R)
+            found += limb_levels.check_swapped(raw, joints, R)
         return ordered(found)
     raw = raw.select(calibration.sensors)
     found = check_before(raw)
@@ -73,11 +73,11 @@ def check_result(
     assert raw.R_world_sensor is not None
     joints, _ = places.joints_and_seats(raw.sensors)
     found = body_checks.check_pose(raw, window, pose)
-    found += body_checks.check_swapped(raw, joints, ori.rot_y(-facing) @ raw.R_world_sensor)
+    found += limb_levels.check_swapped(raw, joints, ori.rot_y(-facing) @ raw.R_world_sensor)
     found += body_checks.check_slipped(raw, window, pose, name)
     found += body_checks.check_leaning(raw, window, pose)
     if (sigma < np.radians(SIDES_DEG)).all():
-        found += body_checks.check_sides(raw, pose, facing, name)
+        found += side_checks.check_sides(raw, pose, facing, name)
     known = {f.sensor for f in found if f.code == "swapped" and f.sensor}
     found += side_checks.check_pairs(raw, pose, facing, sigma, name, known)
     return found + _facing(raw, window, pose, facing, sigma, name)

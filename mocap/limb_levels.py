@@ -43,19 +43,23 @@ def check_swapped(
     fast walk, where the thighs of both legs are always busy; with R_world_sensor (T,S,3,3) in one
     world, the rates of rotation as vectors must be more alike across than along the limbs, too.
     """
-    act = activity(raw)
     alike = None if R_world_sensor is None else _alike(raw, R_world_sensor)
     found: list[Finding] = []
     for part in ("arm", "leg"):
         pairs = levels(raw.sensors, joints, part)
-        if len(pairs) < 2:
+        d = _busier(raw, pairs)
+        if len(d) < 2:
             continue
-        d = {x: act[:, left] - act[:, right] for x, (left, right) in pairs.items()}
-        # Where neither side is busier there is nothing to tell sides by.
-        d = {x: v for x, v in d.items() if v.std() > TELLING}
         if alike is None or _crossed([pairs[x] for x in d], alike):
             found += _exchanged(d)
     return found
+
+
+def _busier(raw: RawRecording, pairs: dict[str, tuple[int, int]]) -> dict[str, Array]:
+    """d_x (T,) of each level where one side is now and then busier: elsewhere nothing tells sides."""
+    act = activity(raw)
+    d = {x: act[:, left] - act[:, right] for x, (left, right) in pairs.items()}
+    return {x: v for x, v in d.items() if v.std() > TELLING}
 
 
 def _alike(raw: RawRecording, R_world_sensor: Array) -> Array:
@@ -132,10 +136,7 @@ def agrees(raw: RawRecording, joints: np.ndarray, kind: str) -> bool:
         pairs = levels(raw.sensors, joints, part)
         if kind not in pairs:
             continue
-        act = activity(raw)
-        d = {x: act[:, left] - act[:, right] for x, (left, right) in pairs.items()}
-        if d[kind].std() <= TELLING:
-            return False
-        others = [v for x, v in d.items() if x != kind and v.std() > TELLING]
-        return any(np.corrcoef(d[kind], v)[0, 1] > AGREEING for v in others)
+        d = _busier(raw, pairs)
+        own = d.pop(kind, None)
+        return own is not None and any(np.corrcoef(own, v)[0, 1] > AGREEING for v in d.values())
     return False

@@ -44,9 +44,7 @@ LOWPASS_HZ = 3.0
 # By how much lower the score must be where another level of the limb has the same sides: only the whole limb
 # can be exchanged then, which is a rarer mistake than a person who moves like the other side.
 WHOLE_LIMB = 0.5
-RAISED = (
-    0.5  # horizontal part of up in an arm's frame, of 1, from which it counts as raised sideways
-)
+RAISED = 0.5  # horizontal part of up in an arm's frame, of 1, from which it is raised sideways
 RAISED_S = 2.0  # time for which both arms must have been raised, to tell a side
 UNANIMOUS = 0.9  # share of that time, as a difference of the two sides, that must say the same
 LOWERED = 0.15  # part of up along left, median, from which an arm counts as lowered from the T-pose

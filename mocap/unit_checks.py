@@ -129,7 +129,7 @@ def tilt_ratio(acc: Array, gyr: Array, rate_hz: float) -> float | None:
     n = max(3, round(0.5 * rate_hz))
     if len(acc) < 8 * n:
         return None
-    a, w = _smoothed(acc, n), _smoothed(gyr, n)
+    a, w = smoothed(acc, n), smoothed(gyr, n)
     da = np.gradient(a, 1 / rate_hz, axis=0)
     turn = -np.cross(w, a)
     ok = np.isfinite(da).all(-1) & np.isfinite(turn).all(-1)
@@ -156,7 +156,7 @@ def means(x: Array, n: int) -> Array:
     return x[: m * n].reshape(m, n, -1).mean(axis=1)
 
 
-def _smoothed(x: Array, n: int) -> Array:
+def smoothed(x: Array, n: int) -> Array:
     """Moving average over n samples along axis 0, run twice; NaN spreads no further than the kernel."""
     kernel = np.ones(n) / n
     for _ in range(2):

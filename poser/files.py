@@ -56,14 +56,14 @@ def read(path: Path, options: Options | None = None) -> Document:
     else:
         _check_like(path)
     doc = formats.read(path, options)
-    own = overridden_rate(path, options, doc)
+    own = _overridden_rate(path, options, doc)
     if own is None:
         return doc
     told = f"states {own:g} Hz, read as {doc.content.rate_hz:g} Hz as was said"
-    return replace(doc, warnings=(*doc.warnings, told))
+    return replace(doc, warnings=(*doc.warnings, told), stated_hz=own)
 
 
-def overridden_rate(path: Path, options: Options | None, doc: Document) -> float | None:
+def _overridden_rate(path: Path, options: Options | None, doc: Document) -> float | None:
     """The rate in Hz that a file states itself, where `doc` was read with another one of `options`."""
     from mocap import formats
 

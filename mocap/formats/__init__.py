@@ -59,12 +59,16 @@ class _Watched(Options):
 
 @dataclass(frozen=True)
 class Document:
-    """A file's content, and what the reader assumed or doubts. kind is given by the content's type."""
+    """A file's content, and what the reader assumed or doubts. kind is given by the content's type.
+
+    stated_hz: the rate that the file states itself, where the content has another, which the user said.
+    """
 
     format: str
     content: Content
     assumptions: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    stated_hz: float | None = None
 
     @property
     def kind(self) -> Kind:

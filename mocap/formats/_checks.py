@@ -152,14 +152,6 @@ def _by_sensor(lost: NDArray[np.bool_], sensors: Names) -> str:
     return ", ".join(f"{n} {k}" for n, k in zip(sensors, count, strict=True) if k)
 
 
-def smoothed(x: Array, n: int) -> Array:
-    """Moving average over n samples along axis 0, run twice."""
-    kernel = np.ones(n) / n
-    for _ in range(2):
-        x = np.stack([np.convolve(c, kernel, "same") for c in x.T], axis=1)
-    return x
-
-
 def rates(R_world_sensor: Array, rate_hz: float) -> Array:
     """Angular rate (T,S,3) rad/s in the sensor's frame: Log(R_{t-1}^T R_t) rate_hz.
 

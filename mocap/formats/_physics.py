@@ -16,15 +16,12 @@ from mocap import orientation as ori
 from mocap import sensor_checks, unit_checks
 from mocap.errors import FormatError
 from mocap.formats import Options
-from mocap.formats._checks import gap_report, half_report, smoothed
+from mocap.formats._checks import gap_report, half_report
 from mocap.orientation import GRAVITY
 from mocap.rate_checks import check_rates
 from mocap.recording import RawRecording, Recording
 from mocap.synthesis import second_difference, sensor_positions
-from mocap.unit_checks import FASTEST, gravity_size, rate_ratio
-
-__all__ = ["against_reference", "calibrated", "factors", "gravity_size", "gyr_in_degrees", "missing",
-           "rate_ratio", "raw"]  # fmt: skip
+from mocap.unit_checks import FASTEST, gravity_size, smoothed
 
 LIMB_SPEED = 6.0  # m/s: between two ends of a swing
 WRONG_UNIT = 15  # times too large or too small: no scale, a unit

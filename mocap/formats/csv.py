@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from mocap import orientation as ori
+from mocap import unit_checks
 from mocap.errors import FormatError
 from mocap.formats import Content, Document, Format, Options, _checks, _opensim, _physics, _text
 from mocap.formats._files import write_aside
@@ -211,7 +212,7 @@ def _in_si(
     doubts = []
     acc = _unit(path, "acc", _ACC_UNITS, declared, options)
     if acc is None:
-        still = _physics.gravity_size(rec.acc, rec.rate_hz)
+        still = unit_checks.gravity_size(rec.acc, rec.rate_hz)
         size = float(np.median(still[np.isfinite(still)])) if np.isfinite(still).any() else np.nan
         near = [u for u in ("g", "mg") if abs(size * _ACC_UNITS[u] / ori.GRAVITY - 1) < 0.15]
         unit = near[0] if near else "m/s^2"

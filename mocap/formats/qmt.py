@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from mocap import orientation as ori
+from mocap import unit_checks
 from mocap.errors import CalibrationError, FormatError
 from mocap.formats import Document, Format, Options, _checks, _mat5, _opensim, _physics
 from mocap.orientation import Array
@@ -90,9 +91,9 @@ def _gravity_pairs(R: Array, acc: Array, rate_hz: float) -> tuple[Array, Array]:
     n = max(1, round(0.5 * rate_hz))
     if len(acc) < 4 * n:
         return np.empty((0, 3)), np.empty((0, 3))
-    smooth = _checks.smoothed(acc, n)
+    smooth = unit_checks.smoothed(acc, n)
     size = np.linalg.norm(smooth, axis=1)
-    wobble = _checks.smoothed(np.abs(acc - smooth), n).max(axis=1)
+    wobble = unit_checks.smoothed(np.abs(acc - smooth), n).max(axis=1)
     with np.errstate(invalid="ignore"):
         still = (np.abs(size - ori.GRAVITY) < 0.5) & (wobble < 0.3)
     still[: 2 * n] = still[-2 * n :] = False  # the moving average has no full window there

@@ -16,7 +16,7 @@ from poser import files, options
 from poser.console import DONE, UsageError, note, progress, say
 
 if TYPE_CHECKING:
-    from mocap.formats import Content, Document, Options
+    from mocap.formats import Content, Document
 
 HELP = "between file formats"
 
@@ -33,9 +33,8 @@ def add_arguments(parser: ArgumentParser) -> None:
 def run(args: Namespace) -> int:
     files.check_output(args.output, [args.input], (".npz", ".bvh"))
     with progress(f"converting {args.input.name}") as tell:
-        reading = options.reading(args)
-        doc = files.read(args.input, reading)
-        _check_rate(args, reading, doc)
+        doc = files.read(args.input, options.reading(args))
+        _check_rate(args, doc)
         for text in (*doc.assumptions, *doc.warnings):
             note(f"{args.input}: {text}")
         content = _prepared(args, doc.content)
@@ -45,12 +44,11 @@ def run(args: Namespace) -> int:
     return DONE
 
 
-def _check_rate(args: Namespace, reading: Options, doc: Document) -> None:
+def _check_rate(args: Namespace, doc: Document) -> None:
     """Raises UsageError for a motion whose file states another rate: it would be slowed down or sped up."""
-    own = files.overridden_rate(args.input, reading, doc) if doc.kind == "motion" else None
-    if own is not None:
+    if doc.kind == "motion" and doc.stated_hz is not None:
         raise UsageError(
-            f"argument --rate: {args.input} states {own:g} Hz itself; "
+            f"argument --rate: {args.input} states {doc.stated_hz:g} Hz itself; "
             f"--resample {args.rate:g} writes the same motion at {args.rate:g} Hz"
         )
 

@@ -87,11 +87,13 @@ class _Stream:
         self.heard_s = -np.inf
         self.counts = Counts()
 
-    def push(self, packet: Packet, arrival_s: float, last_row_s: float) -> None:
+    def push(
+        self, packet: Packet, arrival_s: float, last_row_s: float, since_s: float | None
+    ) -> None:
         assert packet.R_world_sensor is not None and packet.acc_world is not None
         counts = self.counts
         counts.received += 1
-        word = self.clock.hear(packet.time_s, arrival_s)
+        word = self.clock.hear(packet.time_s, arrival_s, since_s)
         if word == "doubtful":
             counts.clock += 1
             return
@@ -166,10 +168,10 @@ class Assembler:
         self._streams = {name: _Stream() for name in devices}
         self._next = 0
 
-    def push(self, packet: Packet, arrival_s: float) -> None:
-        """Take a packet of one of `devices` that carries an orientation."""
+    def push(self, packet: Packet, arrival_s: float, since_s: float | None = None) -> None:
+        """Take a packet of one of `devices` that carries an orientation; since_s: see `DeviceClock.hear`."""
         stream = self._streams[packet.device]
-        stream.push(packet, arrival_s, self._time(self._next - 1))
+        stream.push(packet, arrival_s, self._time(self._next - 1), since_s)
         if self.start_s is None and stream.kept:
             self.start_s = packet.time_s + stream.clock.offset
 

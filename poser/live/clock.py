@@ -15,9 +15,7 @@ from typing import Literal
 from poser.live.packets import SEQUENCE_MODULUS
 
 WINDOW_S = 10.0
-JUMP_S = (
-    0.25  # an arrival further than this from its expected time is late, or the clock has jumped
-)
+JUMP_S = 0.25  # an arrival further from its expected time is late, or the clock has jumped
 CONFIRM_S = 0.5  # a clock has jumped once its packets agree about it for this long
 MAX_DROPOUT, MAX_MISORDER = 3000, 1000  # packet numbers; beyond, the device has started again
 
@@ -28,18 +26,21 @@ class DeviceClock:
     def __init__(self) -> None:
         # Sliding minimum: (arrival, offset), offsets rising from the left, the least one first.
         self._window: deque[tuple[float, float]] = deque()
-        self._doubt: tuple[float, float, float] | None = (
-            None  # offset, arrival and time at its start
-        )
+        # Offset, arrival and time at its start.
+        self._doubt: tuple[float, float, float] | None = None
 
     @property
     def offset(self) -> float:
         """Local minus device time in s."""
         return self._window[0][1]
 
-    def hear(self, time_s: float, arrival_s: float) -> Literal["in time", "doubtful", "jumped"]:
-        """Take note of a packet of device time `time_s` that arrived at `arrival_s`.
+    def hear(
+        self, time_s: float, arrival_s: float, since_s: float | None = None
+    ) -> Literal["in time", "doubtful", "jumped"]:
+        """Take note of a packet of device time `time_s` that was found at `arrival_s`.
 
+        since_s: when nobody had found it yet. It came in between; where that may have been in time, it
+        is: a loop that stood still finds all that the socket kept for it at once.
         "doubtful": it lies JUMP_S off; a single late or false packet must not move the clock, so the
         offset stays and the packet should be dropped. "jumped": packets have agreed about another
         offset for CONFIRM_S, with time passing on both clocks (after a stall of the network the
@@ -49,6 +50,8 @@ class DeviceClock:
         if not self._window or abs(offset - self.offset) <= JUMP_S:
             self._doubt = None
             self._take(offset, arrival_s)
+            return "in time"
+        if since_s is not None and since_s - time_s <= self.offset + JUMP_S < offset:
             return "in time"
         if self._doubt is None or abs(offset - self._doubt[0]) > JUMP_S / 2:
             self._doubt = (offset, arrival_s, time_s)

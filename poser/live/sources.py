@@ -170,6 +170,7 @@ class Receiver:
         # A machine that stops for a second must not lose what arrives meanwhile; the system caps it.
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BYTES)
         self._address, self._decode, self._clock = address, decode, clock
+        self._empty_s: float | None = None  # when nothing was left to take
         self.rejected: Counter[str] = Counter()
 
     def open(self) -> None:
@@ -183,13 +184,17 @@ class Receiver:
     def port(self) -> int:
         return int(self._socket.getsockname()[1])
 
-    def receive(self, wait_s: float) -> Iterator[tuple[Packet, float]]:
-        """Packets with their time of arrival; waits for the first one at most `wait_s`."""
+    def receive(self, wait_s: float) -> Iterator[tuple[Packet, float, float | None]]:
+        """Packets, when they were found, and when they had not come yet (None before the first look).
+
+        Waits for the first one at most `wait_s`.
+        """
         select.select([self._socket], [], [], wait_s)
         for _ in range(DATAGRAMS):
             try:
                 datagram = self._socket.recv(MAX_DATAGRAM + 1)
             except BlockingIOError:
+                self._empty_s = self._clock()
                 return
             except OSError:
                 # Some systems report an earlier send's failure here; it is not about what we receive.
@@ -200,7 +205,7 @@ class Receiver:
                 if isinstance(found, Rejected):
                     self.rejected[found.reason] += 1
                 else:
-                    yield found, arrival
+                    yield found, arrival, self._empty_s
 
     def close(self) -> None:
         self._socket.close()
@@ -249,14 +254,14 @@ class Network:
         return self._clock() >= self._end_s
 
     def poll(self) -> list[Sample]:
-        for packet, arrival in self._receiver.receive(IDLE_S):
+        for packet, arrival, since in self._receiver.receive(IDLE_S):
             if packet.device not in self._assembler.devices:
                 self._receiver.rejected["device unknown"] += 1
                 continue
             if self._tracker is not None and packet.status is not None:
                 self._tracker.hear(packet.device, packet.status)
             if packet.R_world_sensor is not None:
-                self._assembler.push(packet, arrival)
+                self._assembler.push(packet, arrival, since)
         rows = self._assembler.pull(self._clock())
         return [s for s in map(self._sample, rows) if s is not None]
 

@@ -10,7 +10,7 @@ import pytest
 import recording_files as files
 
 from mocap import orientation as ori
-from mocap import synthesis
+from mocap import synthesis, unit_checks
 from mocap.errors import FormatError
 from mocap.formats import (
     Document,
@@ -207,7 +207,7 @@ def test_the_real_recording(shared: Path) -> None:
     assert ((force[:, 1] > 9.65) & (force[:, 1] < 10.2)).all()
     # gyr turns R_world_sensor: the residual of the fit is 0.8 to 4.1 %.
     for s in range(16):
-        assert _physics.rate_ratio(rec, s) == pytest.approx(1, abs=0.05)
+        assert unit_checks.rate_ratio(rec, s) == pytest.approx(1, abs=0.05)
     # The file's filter settles within 0.25 s; everything after is valid.
     assert rec.valid[25:].all() and not rec.valid[:10].any()
     # At 44 s the person stands with the trunk's x axes at about -107 deg.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -245,8 +244,6 @@ def test_interrupt_inside_ipopt_is_raised_at_once(recording: Recording) -> None:
         if "IPOPT" in words:
             raise KeyboardInterrupt
 
-    began = time.monotonic()
     with pytest.raises(KeyboardInterrupt):
         solve(recording, settings=Settings(solver="ipopt-cold"), progress=progress)
     assert sum("IPOPT" in c for c in calls) == 1
-    assert time.monotonic() - began < 60

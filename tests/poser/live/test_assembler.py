@@ -212,6 +212,17 @@ def test_drift_is_followed() -> None:
     assert abs(clock.offset - drift * 5000 / RATE) < 1e-3 * 10 + 1e-4 < JUMP_S
 
 
+def test_what_may_have_come_in_time_is_in_time() -> None:
+    """Found 0.6 s after it was sent: late, unless nobody had looked since before it was due."""
+    clock = DeviceClock()
+    assert clock.hear(0.0, 5.0) == "in time"
+    assert clock.hear(0.1, 5.7, since_s=5.69) == "doubtful"
+    assert clock.hear(0.1, 5.7, since_s=5.34) == "in time"
+    assert clock.hear(0.1, 5.7, since_s=5.36) == "doubtful"
+    assert clock.hear(9.0, 5.7, since_s=5.34) == "doubtful"  # from the future: a jump, no wait
+    assert clock.offset == 5.0
+
+
 @given(st.integers(0, 65535), st.lists(st.integers(0, 400), min_size=1, unique=True))
 def test_packet_numbers_wrap(start: int, heard: list[int]) -> None:
     numbers = PacketNumbers()

@@ -35,11 +35,11 @@ class Script:
 
     def open(self) -> None: ...
 
-    def receive(self, wait_s: float) -> Iterator[tuple[Packet, float]]:
+    def receive(self, wait_s: float) -> Iterator[tuple[Packet, float, float | None]]:
         self.now += wait_s
         while self._packets and self._packets[0][0] <= self.now:
             at, packet = self._packets.pop(0)
-            yield packet, at
+            yield packet, at, None
 
     def close(self) -> None:
         self.closed = True
