@@ -14,11 +14,11 @@ import numpy as np
 
 from mocap import facing as face
 from mocap import headings as heads
-from mocap.findings import Finding
+from mocap.findings import Finding, Severity
 from mocap.limb_levels import activity
 from mocap.orientation import Array
 from mocap.recording import RawRecording, gaps
-from mocap.static_pose import Pose, Window, still_runs, tilt_from_pose
+from mocap.static_pose import NEVER_STILL, Pose, Window, still_runs, tilt_from_pose
 
 MOVED_DEG = 5.0
 SLIPPED_DEG, REST_DEG = 12.0, 6.0  # tilt of one sensor since the pose; of the others meanwhile
@@ -54,7 +54,9 @@ def check_pose(raw: RawRecording, window: Window, pose: Pose) -> list[Finding]:
             f"the wearer moves at the time of the pose, {a:.2f} to {b:.2f} s "
             f"({np.degrees(window.rate):.0f} deg/s): name another time, or let it be found"
         )
-        found.append(Finding("warning", None, "pose-not-still", text, float(window.rate)))
+        # Standing people turn by up to 5 deg/s, 17 with the realistic noise, walking ones by 50 and more.
+        severity: Severity = "error" if window.rate > NEVER_STILL else "warning"
+        found.append(Finding(severity, None, "pose-not-still", text, float(window.rate)))
     for s, name in enumerate(raw.sensors):
         moved = float(pose.moved_deg[s])
         explained = max(MOVED_DEG, 5.0 * float(pose.wobble_deg[s]))

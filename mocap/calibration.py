@@ -23,23 +23,21 @@ from typing import Any, Literal
 
 import numpy as np
 
-from mocap import arm_checks, fusion
 from mocap import diagnostics as checks
-from mocap import facing as face
-from mocap import headings as heads
+from mocap import fusion, pose_facing
 from mocap import orientation as ori
 from mocap import sensors as places
 from mocap.errors import CalibrationError
 from mocap.findings import Finding
 from mocap.motion import Motion
 from mocap.orientation import Array
+from mocap.pose_facing import OtherPose, PoseName
 from mocap.recording import RawRecording, Recording
-from mocap.static_pose import NEVER_STILL, Pose, Window, average, find_static
+from mocap.static_pose import Pose, Window, average, find_static
 
 SCHEMA = "poser-calibration/1"
 LEFT_ARM, RIGHT_ARM = (16, 18, 20, 22), (17, 19, 21, 23)
 ARM_ANGLE_DEG = 80.0
-PoseName = Literal["n", "t"]
 Orientation = Literal["auto", "file", "vqf"]
 
 
@@ -228,43 +226,26 @@ def calibrate(
         findings.append(_rival(raw, window))
     fused = raw if source == "file" else fusion.with_orientation(raw)
     static = average(fused, window)
-    told: list[face.Cue] = []
+    other = None
     if second:
-        told, doubts = _second_pose(
-            fused, static, bones, pose_bones(joints, second[0], arm_angle_deg), second
-        )
-        findings += doubts
-    cues = _cues(fused, static, window, facing, axes, told, pose == "n")
-    heading, sigma, method, said = _headings(fused, static, window, joints, cues)
-    findings += said
-    if told and "second pose" not in method:
-        text = f"the second pose is not used: {method} says otherwise of where the wearer faced"
-        findings.append(Finding("warning", None, "second-pose-disagrees", text))
-    findings += checks.check_result(fused, window, static, heading, sigma, pose)
-    # The heading cue of a sensor that slipped is wrong since then: that is no other fault.
-    slipped = {f.sensor for f in findings if f.code == "slipped"}
-    findings = [f for f in findings if f.code != "heading-off" or f.sensor not in slipped]
-    other = arm_checks.check_pose_name(fused, window, static, heading, sigma, pose, arm_angle_deg)
-    if other:
-        # Arms that start from another pose than said seem to go to the wrong side.
-        findings = [f for f in findings if f.code != "swapped"] + other
-    # Standing people turn by less than 5 deg/s, 17 with the realistic noise; in walking it is 50 and more.
-    if not window.still and window.rate > NEVER_STILL:
-        findings = [
-            replace(f, severity="error") if f.code == "pose-not-still" else f for f in findings
-        ]
+        other = OtherPose(*second, pose_bones(joints, second[0], arm_angle_deg))
+    faced = pose_facing.find(fused, static, window, bones, pose == "n", facing, axes, other)
+    findings += faced.findings
+    findings += checks.check_result(
+        fused, window, static, faced.phi, faced.sigma, pose, arm_angle_deg
+    )
     if strict and any(f.severity == "error" for f in findings):
         raise CalibrationError(checks.summary(findings))
-    R_bone_sensor = np.swapaxes(bones, -1, -2) @ ori.rot_y(-heading) @ static.R_world_sensor
+    R_bone_sensor = np.swapaxes(bones, -1, -2) @ ori.rot_y(-faced.phi) @ static.R_world_sensor
     result = Calibration(
         raw.sensors,
         R_bone_sensor,
-        -heading,
-        sigma,
+        -faced.phi,
+        faced.sigma,
         pose,
         arm_angle_deg,
         window.seconds(raw),
-        method,
+        faced.method,
         source,
         tuple(checks.ordered(findings)),
         _scale(static) if scale_acc and window.still else np.ones(len(raw.sensors)),
@@ -287,137 +268,3 @@ def _scale(static: Pose) -> Array:
     """g / |acc(pose)| (S,); one where it would change more than 5 %, which is another fault."""
     scale = ori.GRAVITY / np.maximum(np.linalg.norm(static.acc, axis=1), 1e-9)
     return np.where(np.abs(scale - 1) < 0.05, scale, 1.0)
-
-
-def _headings(
-    raw: RawRecording,
-    static: Pose,
-    window: Window,
-    joints: np.ndarray,
-    cues: list[face.Cue],
-) -> tuple[Array, Array, str, list[Finding]]:
-    """Facing phi (S,) rad in each sensor's world, its sigma (S,), the method in words, findings."""
-    S = len(raw.sensors)
-    if not cues:
-        return np.zeros(S), np.full(S, np.pi), "assumed", [_assumed(None)]
-    if raw.common_heading:
-        phi, sigma, kept = face.combine(cues)
-        method = ", ".join(dict.fromkeys(c.method for c in kept))
-        said = [_heading_off(c, off) for c, off in face.heading_off(cues, phi, kept)]
-        if face.ambiguous(cues, phi, kept):
-            sigma = np.pi
-            said.append(_ambiguous(phi, method))
-        return np.full(S, phi), np.full(S, sigma), method, said
-    relatives = heads.shared_acceleration(raw, joints)
-    all_phi, all_sigma = heads.solve(raw.sensors, cues, relatives)
-    lost = ~np.isfinite(all_phi)
-    said = [_assumed(n) for n, bad in zip(raw.sensors, lost, strict=True) if bad]
-    # What no cue reaches takes the facing of the pelvis: right at least if the worlds are one.
-    all_phi[lost] = all_phi[~lost][0]
-    used = dict.fromkeys(c.method for c in cues)
-    if relatives:
-        used["shared acceleration of neighbours"] = None
-    return all_phi, all_sigma, "own headings: " + ", ".join(used), said
-
-
-def _ambiguous(phi: float, method: str) -> Finding:
-    text = (
-        f"the wearer faces {np.degrees(phi):.0f} deg in the sensors' world by the {method}, but it could be "
-        f"the opposite way, {np.degrees(face.wrap(phi + np.pi)):.0f} deg: give the facing (--facing)"
-    )
-    return Finding("warning", None, "facing-ambiguous", text, 180.0)
-
-
-def _heading_off(cue: face.Cue, off: float) -> Finding:
-    text = (
-        f"sensor {cue.sensor}: its heading is {np.degrees(off):+.0f} deg from that of the others, by the "
-        f"{cue.method}: its world is not theirs"
-    )
-    return Finding("warning", cue.sensor, "heading-off", text, float(np.degrees(off)))
-
-
-def _assumed(sensor: str | None) -> Finding:
-    if sensor is None:
-        text = (
-            "where the wearer faces in the pose cannot be told from the data: 0 deg in the sensors' "
-            "world is ASSUMED; give the facing, a known axis, a second pose, or record walking"
-        )
-    else:
-        text = (
-            f"sensor {sensor}: nothing ties its heading to the others', so its facing is ASSUMED; "
-            f"give a known axis of it, a second pose, or record walking and bending"
-        )
-    return Finding("warning", sensor, "facing-assumed", text, 180.0)
-
-
-def _cues(
-    raw: RawRecording,
-    static: Pose,
-    window: Window,
-    facing: float | None,
-    axes: Mapping[str, str] | None,
-    second: list[face.Cue],
-    arms_hang: bool,
-) -> list[face.Cue]:
-    """What tells the facing, the declared (`second`: by a second pose) before the measured.
-
-    With a common heading one declared fact is enough and the motion is left out; sensors with headings
-    of their own need every cue there is.
-    """
-    cues: list[face.Cue] = []
-    first = face.pelvis_first(raw.sensors)
-    if facing is not None:
-        cues.append(face.Cue(first, float(np.radians(facing)), np.radians(3.0), "facing as given"))
-    if axes:
-        cues += face.known_axes(axes, raw, static)
-    cues += second
-    if not cues and raw.facing_rad is not None:
-        cues.append(face.Cue(first, raw.facing_rad, np.radians(5.0), "facing as the file has it"))
-    if not cues or not raw.common_heading:
-        cues += face.from_motion(raw, static, window, arms_hang)
-    return cues
-
-
-def _second_pose(
-    raw: RawRecording,
-    static: Pose,
-    bones: Array,
-    other_bones: Array,
-    second: tuple[PoseName, float],
-) -> tuple[list[face.Cue], list[Finding]]:
-    """Cues from another static pose, and a warning where the wearer was not in it.
-
-    other_bones (S,3,3): of that pose. Raises CalibrationError where its time lies outside the recording.
-    """
-    name, at = second
-    window = find_static(raw, at)
-    other = average(raw, window)
-    cues = face.second_pose(raw, static, other, bones, other_bones)
-    a, b = window.seconds(raw)
-    what = f"the second pose ({name.upper()}, {a:.2f} to {b:.2f} s)"
-    doubts = []
-    if not window.still:
-        text = f"{what}: the wearer moves then ({np.degrees(window.rate):.0f} deg/s)"
-        doubts.append(Finding("warning", None, "second-pose-not-still", text, window.rate))
-    expected = _tilt_deg(bones, other_bones)
-    seen = _tilt_deg(static.R_world_sensor, other.R_world_sensor)
-    off = np.where(expected > 30, np.abs(seen - expected), 0.0)
-    worst = int(off.argmax())
-    if not (expected > 30).any():
-        text = (
-            f"{what} is not used: no bone with a sensor tilts by more than 30 deg between the poses"
-        )
-        doubts.append(Finding("warning", None, "second-pose", text))
-    elif off[worst] > 30 or not cues:
-        text = (
-            f"{what} {'does not fit' if cues else 'is not used'}: {raw.sensors[worst]} tilts by "
-            f"{seen[worst]:.0f} deg between the poses, {expected[worst]:.0f} expected"
-        )
-        doubts.append(Finding("warning", None, "second-pose", text, float(off[worst])))
-    return cues, doubts
-
-
-def _tilt_deg(R_first: Array, R_second: Array) -> Array:
-    """Angle (S,) in deg by which up differs between two rotations (S,3,3) to the world."""
-    cos = np.einsum("si,si->s", R_first[:, 1], R_second[:, 1])
-    return np.asarray(np.degrees(np.arccos(np.clip(cos, -1, 1))))

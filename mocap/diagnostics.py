@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mocap import body_checks, fusion, limb_levels, sensor_checks, side_checks
+from mocap import arm_checks, body_checks, fusion, limb_levels, sensor_checks, side_checks
 from mocap import facing as face
 from mocap import orientation as ori
 from mocap import sensors as places
@@ -47,7 +47,7 @@ def diagnose(raw: RawRecording, calibration: Calibration | None = None) -> list[
         window = Window(start, stop, 0.0, True, False)
         found += check_result(
             fused, window, average(fused, window), -calibration.heading, calibration.heading_sigma,
-            calibration.pose,
+            calibration.pose, calibration.arm_angle_deg,
         )  # fmt: skip
     return ordered(found)
 
@@ -68,8 +68,12 @@ def check_result(
     facing: np.ndarray,
     sigma: np.ndarray,
     name: str,
+    arm_angle_deg: float,
 ) -> list[Finding]:
-    """The checks that need the orientation, the pose and the facing (S,) of each sensor's world."""
+    """The checks that need the orientation, the pose and the facing (S,) of each sensor's world.
+
+    name, arm_angle_deg: of the pose.
+    """
     assert raw.R_world_sensor is not None
     joints, _ = places.joints_and_seats(raw.sensors)
     found = body_checks.check_pose(raw, window, pose)
@@ -80,7 +84,11 @@ def check_result(
         found += side_checks.check_sides(raw, pose, facing, name)
     known = {f.sensor for f in found if f.code == "swapped" and f.sensor}
     found += side_checks.check_pairs(raw, pose, facing, sigma, name, known)
-    return found + _facing(raw, window, pose, facing, sigma, name)
+    other = arm_checks.check_pose_name(raw, window, pose, facing, sigma, name, arm_angle_deg)
+    if other:
+        # Arms that start from another pose than said seem to go to the wrong side.
+        found = [f for f in found if f.code != "swapped"]
+    return found + other + _facing(raw, window, pose, facing, sigma, name)
 
 
 def _facing(
@@ -157,10 +165,14 @@ def summary(findings: list[Finding]) -> str:
 def ordered(findings: list[Finding]) -> list[Finding]:
     """Errors first, and of several findings with one sensor and code the first only.
 
-    A sensor on the wrong side is out of step with its supposed neighbours, but its clock is not.
+    A sensor on the wrong side is out of step with its supposed neighbours, but its clock is not; the heading
+    cue of a sensor that slipped is wrong since then.
     """
-    swapped = {f.sensor for f in findings if f.code == "swapped"}
+    swapped, slipped = (
+        {f.sensor for f in findings if f.code == code} for code in ("swapped", "slipped")
+    )
     findings = [f for f in findings if not (f.code == "lag" and f.sensor in swapped)]
+    findings = [f for f in findings if not (f.code == "heading-off" and f.sensor in slipped)]
     once: dict[tuple[str | None, str], Finding] = {}
     for f in findings:
         once.setdefault((f.sensor, f.code), f)

@@ -11,6 +11,7 @@ from people import clip, worn
 from mocap import sensors as places
 from mocap.arm_checks import check_pose_name
 from mocap.calibration import PoseName, calibrate
+from mocap.diagnostics import diagnose
 from mocap.errors import CalibrationError
 from mocap.findings import Finding
 from mocap.motion import Motion
@@ -59,6 +60,8 @@ def test_a_t_pose_called_n_is_refused_where_it_is_certain() -> None:
     _, cal = calibrate(raw, "n", at=1.5, strict=False)
     assert {f.code for f in cal.diagnostics if f.severity == "error"} == {CODE}
     assert "swapped" not in {f.code for f in cal.diagnostics}
+    again = {f.code for f in diagnose(raw, cal)}
+    assert CODE in again and "swapped" not in again
     assert CODE not in {f.code for f in calibrate(raw, "t", at=1.5)[1].diagnostics}
 
 
