@@ -111,26 +111,34 @@ def known_axes(axes: Mapping[str, str], raw: RawRecording, pose: Pose) -> list[C
     return [_known_axis(name, text, raw, pose) for name, text in axes.items()]
 
 
+def parsed_axis(text: str) -> tuple[float, int, str]:
+    """Sign, axis (0: x) and direction of text such as "-z left"; raises CalibrationError for other text."""
+    words = text.lower().split()
+    axis = words[0].lstrip("+-") if words else ""
+    if len(words) != 2 or axis not in ("x", "y", "z") or words[1] not in DIRECTIONS:
+        raise CalibrationError(
+            f"{text!r} is not an axis and a direction like 'x forward' or '-z left' "
+            f"(directions: {', '.join(DIRECTIONS)})"
+        )
+    return -1.0 if words[0].startswith("-") else 1.0, "xyz".index(axis), words[1]
+
+
 def _known_axis(name: str, text: str, raw: RawRecording, pose: Pose) -> Cue:
     if name not in raw.sensors:
         raise SensorError(
             f"axis of {name}: no such sensor in the recording; it has: {', '.join(raw.sensors)}"
         )
-    words = text.lower().split()
-    axis = words[0].lstrip("+-") if words else ""
-    if len(words) != 2 or axis not in ("x", "y", "z") or words[1] not in DIRECTIONS:
-        raise CalibrationError(
-            f"axis of {name}: {text!r} is not an axis and a direction like 'x forward' or '-z left' "
-            f"(directions: {', '.join(DIRECTIONS)})"
-        )
-    sign = -1.0 if words[0].startswith("-") else 1.0
-    d = sign * pose.R_world_sensor[raw.sensors.index(name)][:, "xyz".index(axis)]
+    try:
+        sign, axis, direction = parsed_axis(text)
+    except CalibrationError as e:
+        raise CalibrationError(f"axis of {name}: {e}") from e
+    d = sign * pose.R_world_sensor[raw.sensors.index(name)][:, axis]
     if np.hypot(d[0], d[2]) < 0.5:
         raise CalibrationError(
-            f"axis of {name}: its {words[0]} axis is {np.degrees(np.arcsin(abs(d[1]))):.0f} deg from "
-            f"the horizontal in the pose, so it cannot point {words[1]}"
+            f"axis of {name}: its {'xyz'[axis]} axis is {np.degrees(np.arcsin(abs(d[1]))):.0f} deg from "
+            f"the horizontal in the pose, so it cannot point {direction}"
         )
-    heading = float(wrap(np.angle(complex_heading(d)) - DIRECTIONS[words[1]]))
+    heading = float(wrap(np.angle(complex_heading(d)) - DIRECTIONS[direction]))
     return Cue(name, heading, np.radians(KNOWN_FLOOR_DEG), f"axis {text} of {name}")
 
 

@@ -196,6 +196,21 @@ def _same(a: Path, b: Path) -> bool:
         return False
 
 
+@contextmanager
+def folder(path: Path) -> Iterator[None]:
+    """As `make_folder`; folders that were made for it are removed again where nothing was put into them."""
+    made = [p for p in (path, *path.parents) if not p.exists()]
+    make_folder(path)
+    try:
+        yield
+    finally:
+        for p in made:
+            try:
+                p.rmdir()
+            except OSError:  # holds something
+                break
+
+
 def make_folder(path: Path) -> None:
     """A folder to write into, made where it is missing; raises PoserError where it cannot be."""
     try:

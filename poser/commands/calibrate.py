@@ -24,10 +24,26 @@ HELP = "a raw recording to a calibrated one"
 
 
 def _axis(text: str) -> tuple[str, str]:
+    from mocap.errors import CalibrationError
+    from mocap.facing import parsed_axis
+
     name, equals, axis = text.partition("=")
-    if not equals or not name.strip() or len(axis.split()) != 2:
+    if not equals or not name.strip():
         raise ArgumentTypeError(f"{text!r} is not SENSOR=AXIS DIRECTION, as in 'pelvis=x forward'")
+    try:
+        parsed_axis(axis)
+    except CalibrationError as e:
+        raise ArgumentTypeError(str(e)) from e
     return name.strip(), axis.strip()
+
+
+def _arm_angle(text: str) -> float:
+    from mocap.calibration import ARM_ANGLES_DEG
+
+    value, (low, high) = options.number(text), ARM_ANGLES_DEG
+    if not low <= value <= high:
+        raise ArgumentTypeError(f"{text!r} is not an angle between {low:g} and {high:g} deg")
+    return value
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -40,7 +56,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         "--at", type=options.number, metavar="SECONDS", help="when (default: it is found)"
     )
     parser.add_argument(
-        "--arm-angle", type=options.number, metavar="DEG", help="of the N-pose (default: 80)"
+        "--arm-angle", type=_arm_angle, metavar="DEG", help="of the N-pose (default: 80)"
     )
     parser.add_argument(
         "--facing",
@@ -54,7 +70,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="SENSOR=AXIS DIRECTION",
-        help="a known mounting: pelvis='x forward'; may be repeated",
+        help="a known mounting: pelvis='x forward'; may be repeated for other sensors",
     )
     parser.add_argument(
         "--second",
@@ -80,6 +96,9 @@ def run(args: Namespace) -> int:
     files.check_output(args.output, [args.raw], (".npz",))
     if args.arm_angle is not None and args.pose == "t" and args.second is None:
         raise UsageError("argument --arm-angle: the T-pose has its arms at 0")
+    axed = [name for name, _ in args.axis]
+    if len(set(axed)) < len(axed):
+        raise UsageError("argument --axis: one axis a sensor, the other two follow from gravity")
     raw, doubts = _read(args)
     with progress(f"calibrating {args.raw.name}"), files.about(args.raw):
         raw = raw.select(options.sensors(args.sensors, raw.sensors))
@@ -162,7 +181,9 @@ def _print(path: Path, calibration: Calibration, recording: Recording) -> None:
 
     start, stop = calibration.time
     sigma = float(np.rad2deg(calibration.heading_sigma).max())
-    sure = "assumed" if sigma > 179 else f"to {sigma:.0f} deg"
+    codes = {f.code for f in calibration.diagnostics}
+    unsure = "could be the opposite" if "facing-ambiguous" in codes else "assumed"
+    sure = unsure if sigma > 179 else f"to {sigma:.0f} deg"
     say(f"{calibration.pose.upper()}-pose at {start:.2f} to {stop:.2f} s")
     say(f"facing: {calibration.method} ({sure})")
     say(f"orientation: {calibration.orientation}")

@@ -89,11 +89,15 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def run(args: Namespace) -> int:
-    from poser import batch, comparison, earlier, reporting, results
-
     if args.cluster and args.jobs > 1:
         raise UsageError("argument --cluster: not with --jobs, the scheduler decides")
-    files.make_folder(args.output)
+    with files.folder(args.output):
+        return _compare(args)
+
+
+def _compare(args: Namespace) -> int:
+    from poser import batch, comparison, earlier, reporting, results
+
     jobs = _jobs(args)
     where = comparison.check_paths(args.output, [j.name for j in jobs])
     old = earlier.files_in(args.output, where.values())

@@ -45,12 +45,16 @@ def _seconds(text: str) -> float:
 
 
 def run(args: Namespace) -> int:
+    with files.folder(args.output):
+        return _demo(args)
+
+
+def _demo(args: Namespace) -> int:
     from mocap import sensors, synthesis
     from poser import comparison, motions, results
     from poser.commands.synthesize import noise_generator
     from poser.reporting import write_report
 
-    files.make_folder(args.output)
     with progress("demo") as tell:
         tell(0.0, "virtual sensors")
         motion = synthesis.prepare(motions.builtin(seconds=args.seconds), 60.0, 8.0)

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from mocap.recording import RawRecording, Recording
 
 HELP = "virtual sensors on motion capture"
+STATIC_S = 3.0
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -53,16 +54,25 @@ def add_arguments(parser: ArgumentParser) -> None:
         "--static-pose", choices=("n", "t"), help="stand still in this pose first, for calibration"
     )
     parser.add_argument(
-        "--static-seconds", type=options.positive, default=3.0, metavar="S", help="default: 3"
+        "--static-seconds",
+        type=options.positive,
+        metavar="S",
+        help=f"default: {STATIC_S:g}",
     )
     options.add_reading(parser, rate_too=False)
     options.add_json(parser)
 
 
 def run(args: Namespace) -> int:
+    if args.static_seconds is not None and args.static_pose is None:
+        raise UsageError("argument --static-seconds: of no use without --static-pose")
+    with files.folder(args.output):
+        return _synthesize(args)
+
+
+def _synthesize(args: Namespace) -> int:
     sensors = options.sensors(args.sensors)
     targets = _targets(args.motions, args.output)
-    files.make_folder(args.output)
     done, failed = [], False
     with progress("synthesizing") as tell:
         for k, (source, target) in enumerate(zip(args.motions, targets, strict=True)):
@@ -117,7 +127,7 @@ def _one(source: Path, sensors: tuple[str, ...], args: Namespace) -> Recording |
     motion = files.motion(source, options.reading(args), quiet=True)
     with files.about(source):
         if args.static_pose:
-            motion = with_static_pose(motion, args.static_pose, args.static_seconds)
+            motion = with_static_pose(motion, args.static_pose, args.static_seconds or STATIC_S)
         _check_rates(source, motion, args.out_rate, args.lowpass)
         motion = synthesis.prepare(motion, args.out_rate, args.lowpass)
         if len(motion) < 3:

@@ -268,6 +268,29 @@ def test_one_bad_motion_does_not_stop_the_others(
     assert [p.name for p in (tmp_path / "out").iterdir()] == ["walk.npz"]
 
 
+def test_a_folder_of_which_nothing_comes_does_not_stay(
+    folder: Path, tmp_path: Path, refusal: Refusal
+) -> None:
+    out = tmp_path / "a" / "b"
+    walk = folder / "walk.npz"
+    assert refusal("compare", walk, "-o", out)[0] == 1
+    (tmp_path / "bad.bvh").write_text("HIERARCHY\n")
+    assert main(["synthesize", str(tmp_path / "bad.bvh"), "-o", str(out)]) == 1
+    assert [p.name for p in tmp_path.iterdir()] == ["bad.bvh"]
+    out.mkdir(parents=True)
+    assert refusal("compare", walk, "-o", out)[0] == 1
+    assert out.is_dir()  # was there before
+
+
+def test_synthesize_static_seconds_of_no_pose(
+    folder: Path, tmp_path: Path, refusal: Refusal
+) -> None:
+    words = ("synthesize", folder / "walk.npz", "-o", tmp_path / "r", "--static-seconds", "5")
+    status, said = refusal(*words)
+    assert status == 2 and "without --static-pose" in said
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_static_pose_is_prepended_and_calibrates(folder: Path, tmp_path: Path) -> None:
     args = ["synthesize", str(folder / "walk.npz"), "-o", str(tmp_path), "--raw"]
     assert main([*args, "--static-pose", "t", "--static-seconds", "2"]) == 0
@@ -319,6 +342,9 @@ def test_calibrate_at_a_time_of_walking(
     ("words", "said"),
     [
         (["--axis", "pelvis"], "is not SENSOR=AXIS DIRECTION"),
+        (["--axis", "pelvis=x up"], "directions: forward, left, back, right"),
+        (["--axis", "head=x left", "--axis", "head=y forward"], "one axis a sensor"),
+        (["--arm-angle", "170"], "between 0 and 100 deg"),
         (["--second", "t"], "POSE@SECONDS"),
         (["--at", "soon"], "is not a number"),
         (["--pose", "t", "--arm-angle", "80"], "--arm-angle"),
