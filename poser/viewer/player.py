@@ -21,12 +21,20 @@ SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
 class Player:
     """Tracks side by side on a server of `stage.server`, with the controls in the page.
 
+    Those that state their time are shown by one clock, from where all of them have begun; the others begin
+    with the timeline. A body outside its time stands still, and its label says so.
+
     step(seconds) lets time pass; `run` does so until it is told to stop.
     """
 
     def __init__(self, made: Any, tracks: Sequence[Track]):
         self._server, self._tracks = made, tracks
-        self.seconds = max(t.seconds for t in tracks)
+        begin = min((t.start_s for t in tracks if t.start_s is not None), default=0.0)
+        self._starts = [begin if t.start_s is None else t.start_s for t in tracks]
+        ends = [a + t.seconds for a, t in zip(self._starts, tracks, strict=True)]
+        self.begin_s, self.end_s = begin, max(ends)
+        latest = max(self._starts)
+        self.first_s = latest if latest < min(ends) else begin
         middle = (len(tracks) - 1) / 2
         # The first file stands at the left of the picture, which is the bodies' right.
         shifts = [np.array([(k - middle) * SPACING_M, 0.0, 0.0]) for k in range(len(tracks))]
@@ -41,14 +49,17 @@ class Player:
         )
         stage.floor(made, 12.0 + 2 * travelled)
         stage.look_from(made, np.array([0.0, 0.95, 0.0]), SPACING_M * len(tracks))
-        self._shown: list[int] | None = None
+        self._shown: list[tuple[int, str]] | None = None
         self._controls(made)
         self.show()
 
     def _controls(self, made: Any) -> None:
         gui = made.gui
-        end = round(max(self.seconds, STEP_S), 2)
-        self._time = gui.add_slider("time, s", 0.0, end, STEP_S, initial_value=0.0)
+        # The slider counts in steps of STEP_S from its left end.
+        begin, end, first = (round(x, 2) for x in (self.begin_s, self.end_s, self.first_s))
+        self._time = gui.add_slider(
+            "time, s", begin, max(end, begin + STEP_S), STEP_S, initial_value=max(first, begin)
+        )
         self._play = gui.add_button("Pause")
         self._speed = gui.add_dropdown("speed", SPEEDS, initial_value="1")
         self._stay = gui.add_checkbox(
@@ -82,21 +93,31 @@ class Player:
         self._time.value = value
 
     def step(self, passed_s: float) -> None:
-        """Let time pass and show what is then; the end is followed by the beginning."""
-        if self.playing and self.seconds > 0:
+        """Let time pass and show what is then; the end is followed by where it began."""
+        if self.playing and self.end_s > self.begin_s:
             t = self.time_s + passed_s * float(self._speed.value)
-            self.time_s = t if t <= self._time.max else 0.0
+            self.time_s = t if t <= self._time.max else max(self.first_s, self._time.min)
         self.show()
 
     def show(self) -> None:
         """Show the frames at the timeline's time."""
-        frames = [t.frame(self.time_s) for t in self._tracks]
-        if frames == self._shown:
+        shown = [
+            (track.frame(self.time_s - start), self._outside(track, self.time_s - start))
+            for track, start in zip(self._tracks, self._starts, strict=True)
+        ]
+        if shown == self._shown:
             return
-        self._shown = frames
+        self._shown = shown
         with self._server.atomic():
-            for figure, track, k in zip(self._figures, self._tracks, frames, strict=True):
+            for figure, track, (k, note) in zip(self._figures, self._tracks, shown, strict=True):
+                figure.label = track.label + note
                 self._show(figure, track, k)
+
+    def _outside(self, track: Track, t: float) -> str:
+        frame = 1.0 / track.motion.rate_hz
+        if t < -frame:
+            return f" (begins at {self.time_s - t:.2f} s)"
+        return " (ended)" if t > track.seconds + frame else ""
 
     def _show(self, figure: stage.Figure, track: Track, k: int) -> None:
         motion = track.motion

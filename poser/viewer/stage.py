@@ -105,6 +105,16 @@ class Figure:
                 axes_radius=0.008,
             )
 
+    @property
+    def label(self) -> str:
+        """What stands over the head."""
+        return str(self._label.text)
+
+    @label.setter
+    def label(self, text: str) -> None:
+        if text != self._label.text:
+            self._label.text = text
+
     def pose(self, R_world_joint: Array, p_world_joint: Array) -> None:
         """Move the body: global rotations (24,3,3) and joints (24,3) m."""
         wxyz, p = ori.to_quat(R_world_joint), p_world_joint + self._shift

@@ -12,7 +12,7 @@ from mocap import orientation as ori
 from mocap import synthesis
 from mocap.calibration import pose_bones
 from mocap.errors import FormatError
-from mocap.formats import Options
+from mocap.formats import Options, native
 from mocap.motion import Motion
 from mocap.orientation import Array
 from mocap.recording import Recording
@@ -33,37 +33,39 @@ class Sensors:
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """One file: label, motion, and the sensors where it has any."""
+    """One file: label, motion, the sensors where it has any, its start on a clock where it states one."""
 
     label: str
     motion: Motion
     sensors: Sensors | None = None
+    start_s: float | None = None
 
     @property
     def seconds(self) -> float:
-        """Time of the last frame."""
+        """From the first frame to the last."""
         return (len(self.motion) - 1) / self.motion.rate_hz
 
     def frame(self, time_s: float) -> int:
-        """The frame at a time; the ends hold."""
+        """The frame so long after the first; the ends hold."""
         return min(len(self.motion) - 1, max(0, round(time_s * self.motion.rate_hz)))
 
 
 def read(path: Path, options: Options | None = None) -> Track:
     """The track of a motion or a calibrated recording. Raises FormatError for a raw recording."""
     content = files.read(path, options).content
+    stated = path.suffix == ".npz" and native.states_start(path)
+    start_s = content.start_s if stated else None
     if isinstance(content, Motion):
-        return Track(path.name, content)
+        return Track(path.name, content, start_s=start_s)
     if not isinstance(content, Recording):
         raise FormatError(
             path, "holds a raw recording, whose axes are not the body's; poser calibrate it first"
         )
     if content.reference is not None:
-        return Track(
-            f"{path.name} (reference)", content.reference, sensors_on(content, content.reference)
-        )
-    motion = as_measured(content)
-    return Track(f"{path.name} (as measured)", motion, sensors_on(content, motion))
+        label, motion = f"{path.name} (reference)", content.reference
+    else:
+        label, motion = f"{path.name} (as measured)", as_measured(content)
+    return Track(label, motion, sensors_on(content, motion), start_s)
 
 
 def as_measured(recording: Recording) -> Motion:

@@ -94,6 +94,7 @@ def test_the_kinds_of_files(folder: Path) -> None:
     assert motion.sensors is None and motion.seconds == pytest.approx(3.0, abs=0.02)
     recorded = tracks.read(folder / "rec" / "walk.npz")
     assert recorded.label == "walk.npz (reference)"
+    assert (motion.start_s, recorded.start_s) == (None, 0.0)
     assert recorded.sensors is not None and recorded.sensors.R_world_bone.shape[1] == 6
     with pytest.raises(PoserError, match="poser calibrate it first"):
         tracks.read(folder / "raw" / "long.npz")
@@ -114,9 +115,10 @@ def test_the_player_s_time(made: Any, recording: Any, capsys: pytest.CaptureFixt
     player.step(1.5)
     assert player.time_s == 1.5
     # Each file has its own rate; the second has ended after 3 s, and its last frame stays.
-    assert player._shown == [45, 90]
+    assert player._shown == [(45, ""), (90, "")]
     player.step(2.0)
-    assert player._shown == [105, 179]
+    assert player._shown == [(105, ""), (179, " (ended)")]
+    assert [f.label for f in player._figures] == ["a", "b (ended)"]
     player.playing = False
     player.step(1.0)
     assert player.time_s == 3.5
@@ -129,6 +131,27 @@ def test_the_player_s_time(made: Any, recording: Any, capsys: pytest.CaptureFixt
         R = ori.from_quat(np.array(bone.wxyz))
         np.testing.assert_allclose(R, recording.reference.R_world_joint[0, j], atol=1e-6)
     assert capsys.readouterr().out == ""
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_files_that_state_their_time_share_a_clock(made: Any) -> None:
+    """A part from 42 s on of what began at 40 s, and a motion that knows no clock."""
+    whole, part = motions.walk(4.0), motions.walk(4.0).slice(120, 180)
+    player = Player(
+        made, [tracks.Track("whole", whole, start_s=40.0), tracks.Track("part", part, start_s=42.0),
+               tracks.Track("free", whole)],
+    )  # fmt: skip
+    assert (player.begin_s, player.time_s) == (40.0, 42.0)
+    assert player._shown == [(120, ""), (0, ""), (120, "")]
+    player.playing = False
+    player.time_s = 41.0
+    player.step(0.0)
+    assert player._shown == [(60, ""), (0, " (begins at 42.00 s)"), (60, "")]
+    player.time_s, player.playing = 43.5, True
+    player.step(0.0)
+    assert [f.label for f in player._figures] == ["whole", "part (ended)", "free"]
+    player.step(1.0)
+    assert player.time_s == 42.0  # the end is followed by where it began
 
 
 def test_what_cannot_be_viewed(folder: Path, refusal: Any, monkeypatch: pytest.MonkeyPatch) -> None:
