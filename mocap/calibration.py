@@ -27,6 +27,7 @@ from mocap import diagnostics as checks
 from mocap import fusion, pose_facing
 from mocap import orientation as ori
 from mocap import sensors as places
+from mocap.channel_checks import without_spikes
 from mocap.errors import CalibrationError
 from mocap.findings import Finding
 from mocap.motion import Motion
@@ -149,7 +150,7 @@ class Calibration:
                 f"calibration is for sensor {', '.join(missing)}, which the recording lacks; it has: "
                 f"{', '.join(raw.sensors)}"
             )
-        raw = raw.select(self.sensors)
+        raw, _ = without_spikes(raw.select(self.sensors))
         if self.orientation == "vqf" or raw.R_world_sensor is None:
             raw = fusion.with_orientation(raw)
         return self._apply(raw)
@@ -220,7 +221,8 @@ def calibrate(
     if orientation == "file" and raw.R_world_sensor is None:
         raise CalibrationError("the recording carries no orientation: use orientation='vqf'")
     source = "file" if raw.R_world_sensor is not None and orientation != "vqf" else "vqf"
-    findings = checks.check_before(raw if source == "file" else replace(raw, R_world_sensor=None))
+    raw, findings = without_spikes(raw)
+    findings += checks.check_before(raw if source == "file" else replace(raw, R_world_sensor=None))
     if strict and any(f.severity == "error" for f in findings):
         raise CalibrationError(checks.summary(findings))
     window = find_static(raw, at)

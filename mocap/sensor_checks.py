@@ -11,32 +11,30 @@ from dataclasses import replace
 import numpy as np
 
 from mocap.axis_checks import check_axes
-from mocap.channel_checks import check_channels
+from mocap.channel_checks import check_channels, unmeasured, without_spikes
 from mocap.findings import Finding
 from mocap.fusion import bridged
 from mocap.orientation import Array
 from mocap.orientation_checks import check_orientation
 from mocap.rate_checks import check_rates
 from mocap.recording import RawRecording
-from mocap.unit_checks import constant_force, still_gravity
+from mocap.unit_checks import KEPT, constant_force, still_gravity
 
 GRAVITY_RANGE = (9.3, 10.3)  # m/s^2: more than bias and scale of any usual sensor
 RESTLESS = 0.35  # m/s^2: above, the sensor never rests; white noise of that size leaves 0.24
 RESTLESS_RANGE = (3.0, 25.0)  # m/s^2: what limbs have at their slowest, even in running and jumping
 NOTHING = 0.6  # m/s^2 (or g): a still sensor that reads less has no gravity
-# Of |acc|, what the mean over half a second keeps: nearly all of gravity, little of noise and movement.
-KEPT = 0.7
 
 
 def check_sensors(raw: RawRecording) -> list[Finding]:
     """All checks of the sensors' own data: those of one sensor each, then those that compare sensors."""
-    found: list[Finding] = []
+    raw, found = without_spikes(raw)
     sound: list[str] = []
     for s, name in enumerate(raw.sensors):
         ok = raw.valid[:, s]
-        if ok.sum() < raw.rate_hz:
-            text = f"sensor {name}: only {int(ok.sum())} valid samples"
-            found.append(Finding("error", name, "no-data", text, float(ok.sum())))
+        lacking = _lacking(raw, s)
+        if lacking:
+            found.append(Finding("error", name, "no-data", lacking, float(ok.sum())))
             continue
         gyr, acc = bridged(raw.gyr[:, s], ok), bridged(raw.acc[:, s], ok)
         gravity = _gravity(name, gyr, acc, raw.rate_hz)
@@ -49,6 +47,19 @@ def check_sensors(raw: RawRecording) -> list[Finding]:
     gone = {f.sensor for f in dead if f.code == "frozen" and f.severity == "error"}
     use = tuple(n for n in sound if n not in gone)
     return found + (_turning(raw.select(use)) if use else [])
+
+
+def _lacking(raw: RawRecording, s: int) -> str:
+    """What there is too little of to judge sensor `s`; empty where nothing is missing."""
+    head, leave = f"sensor {raw.sensors[s]}: ", "leave the sensor out (--sensors)"
+    absent = unmeasured(raw, s)
+    if absent:
+        return f"{head}no sample of {' and '.join(absent)}, both acc and gyr are needed: {leave}"
+    # A sample counts where gyr and acc are both there.
+    count, least = int(raw.valid[:, s].sum()), int(np.ceil(raw.rate_hz))
+    if count < least:
+        return f"{head}only {count} valid samples, {least} (1 s) are needed: {leave}"
+    return ""
 
 
 def _turning(raw: RawRecording) -> list[Finding]:

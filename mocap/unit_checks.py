@@ -17,6 +17,9 @@ MEAN_S = 0.125  # gyr and the rate of the orientation are compared as means over
 TURNING = 0.15  # rad/s, rms: below, the two are not compared
 AGREES = 0.9  # correlation of the two, above which their ratio means something
 TILT_AGREES = 0.6  # the same of gyr and the turning of gravity in acc
+WRONG_UNIT = 15  # times too large or too small: no scale, a unit
+# Of |acc|, what the mean over half a second keeps: nearly all of gravity, little of noise and movement.
+KEPT = 0.7
 
 
 def stillest(acc: Array, rate_hz: float) -> tuple[Array, Array]:
@@ -46,6 +49,22 @@ def gravity_size(acc: Array, rate_hz: float) -> Array:
     size, spread = stillest(acc, rate_hz)
     with np.errstate(invalid="ignore"):
         return np.where(spread < STILL_SPREAD * size, size, np.nan)
+
+
+def usual_force(acc: Array, rate_hz: float) -> tuple[Array, Array]:
+    """Medians of |mean acc| over half seconds and of |acc| over samples: (S,), (S,); acc (T,S,3), any unit.
+
+    The first is about gravity however a person moves, who is not accelerated one way for long; far below
+    the second (`KEPT`) there is no gravity in acc. NaN under 2 s of samples, and where all are zero.
+    """
+    n = max(1, round(STILL_WINDOW_S * rate_hz))
+    sizes = np.full((2, acc.shape[1]), np.nan)
+    for s in range(acc.shape[1]):
+        known = acc[np.isfinite(acc[:, s]).all(axis=-1), s]
+        if len(known) >= 2 * rate_hz and known.any():
+            sizes[0, s] = np.median(np.linalg.norm(means(known, n), axis=-1))
+            sizes[1, s] = np.median(np.linalg.norm(known, axis=-1))
+    return sizes[0], sizes[1]
 
 
 def still_gravity(gyr: Array, acc: Array) -> tuple[float, float]:

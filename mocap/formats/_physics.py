@@ -14,18 +14,20 @@ import numpy as np
 
 from mocap import orientation as ori
 from mocap import sensor_checks, unit_checks
+from mocap.channel_checks import unmeasured, without_spikes
 from mocap.errors import FormatError
 from mocap.formats import Options
 from mocap.formats._checks import gap_report, half_report
-from mocap.orientation import GRAVITY
+from mocap.orientation import GRAVITY, Array
 from mocap.rate_checks import check_rates
 from mocap.recording import RawRecording, Recording
 from mocap.synthesis import second_difference, sensor_positions
-from mocap.unit_checks import FASTEST, gravity_size, smoothed
+from mocap.unit_checks import FASTEST, KEPT, WRONG_UNIT, gravity_size, smoothed, usual_force
 
 LIMB_SPEED = 6.0  # m/s: between two ends of a swing
-WRONG_UNIT = 15  # times too large or too small: no scale, a unit
 TILTED_DEG = 60.0  # mean acceleration this far from upright is no movement and no bad calibration
+LIVELY = 40.0  # m/s^2: no body's acceleration, in the median over time and sensors
+ALIKE = 0.5  # correlation of acc_world with the reference's, either way: one is the other, scaled
 
 
 def factors(options: Options) -> tuple[float, float]:
@@ -39,13 +41,36 @@ def factors(options: Options) -> tuple[float, float]:
 
 def raw(path: Path, rec: RawRecording) -> list[str]:
     """Warnings on a raw recording; raises FormatError where units or axes contradict gravity."""
-    doubts = gap_report(rec.valid, rec.sensors)
+    doubts = gap_report(rec.valid, rec.sensors) + _absent(rec)
+    rec, spikes = without_spikes(rec)
+    doubts += [f.sentence for f in spikes]
     if rec.R_world_sensor is not None:
         has = np.asarray(np.isfinite(rec.R_world_sensor).all(axis=(-1, -2)), bool)
         doubts += half_report(rec.valid & ~has, rec.sensors, "orientation")
     doubts += _accelerometer(path, rec)
     doubts += _gyroscope(path, rec)
     return doubts + _up(path, rec)
+
+
+def assumed(rec: RawRecording) -> tuple[str, ...]:
+    """What nothing in a raw recording can tell, for `Document.assumptions`."""
+    if rec.R_world_sensor is not None or not np.isfinite(rec.acc).any():
+        return ()
+    # With -acc, up and all movement are turned round together: gyr fits either.
+    return ("acc is specific force (up at rest), not gravity: only orientations could tell",)
+
+
+def _absent(rec: RawRecording) -> list[str]:
+    """Sensors without any sample of acc or of gyr, one warning for either."""
+    lacking: dict[str, list[str]] = {}
+    for s, name in enumerate(rec.sensors):
+        for what in unmeasured(rec, s):
+            lacking.setdefault(what, []).append(name)
+    return [
+        f"no sample of {what} from "
+        + ("any sensor" if len(names) == len(rec.sensors) else ", ".join(names))
+        for what, names in lacking.items()
+    ]
 
 
 def _accelerometer(path: Path, rec: RawRecording) -> list[str]:
@@ -61,6 +86,8 @@ def _accelerometer(path: Path, rec: RawRecording) -> list[str]:
             continue
         if when == "when slow" and size < 3 and mean[s] < 0.25 * size:
             size, when = mean[s], "on average"  # what the orientation turns cancels: no gravity
+        elif when == "when slow" and size < 3 and np.isnan(mean[s]) and _free(rec, s, size):
+            raise FormatError(path, f"{size:.3g} {when}{_FREE}", where)
         # A sensor that never rests reads up to a few g; its unit is wrong where none could be.
         off = abs(size / GRAVITY - 1) > 0.15 if when == "when still" else bool(_guess(size))
         if off:
@@ -70,16 +97,29 @@ def _accelerometer(path: Path, rec: RawRecording) -> list[str]:
         if abs(size / GRAVITY - 1) > 0.05 and when == "when still":
             doubts.append(f"{where}: {size:.2f} m/s^2 {when}, expected {GRAVITY:.2f}")
     if not (np.isfinite(still) | np.isfinite(slow)).any() and np.isfinite(rec.acc).any():
-        doubts.append("no sensor is ever still for half a second: the unit of acc is not checked")
+        doubts.append("no sensor is still for half a second: the unit of acc is not checked")
     return doubts
 
 
 def _slow(rec: RawRecording, s: int) -> float:
-    """|mean acc| of sensor `s` in its slowest half seconds; NaN without orientation or under 2 s."""
+    """|mean acc| of sensor `s` in its slowest half seconds; in half of all without gyr; NaN under 2 s."""
     ok = rec.valid[:, s] & np.isfinite(rec.acc[:, s]).all(-1) & np.isfinite(rec.gyr[:, s]).all(-1)
-    if rec.R_world_sensor is None or ok.sum() < 2 * rec.rate_hz:
+    if not np.isfinite(rec.gyr[:, s]).any():
+        return float(usual_force(rec.acc[:, [s]], rec.rate_hz)[0][0])
+    if ok.sum() < 2 * rec.rate_hz or not rec.acc[ok, s].any():
         return float("nan")
     return unit_checks.constant_force(rec.gyr[ok, s], rec.acc[ok, s], rec.rate_hz)
+
+
+def _free(rec: RawRecording, s: int, size: float) -> bool:
+    """Whether |mean acc| of sensor `s` is `size` but |acc| is so much more that no gravity is in it."""
+    ok = rec.valid[:, s]
+    if not ok.any():
+        return bool(size < KEPT * usual_force(rec.acc[:, [s]], rec.rate_hz)[1][0])
+    return size < KEPT * unit_checks.still_gravity(rec.gyr[ok, s], rec.acc[ok, s])[0]
+
+
+_FREE = ", so gravity was removed, and raw acceleration must hold it"
 
 
 def _guess(size: float) -> str:
@@ -90,7 +130,7 @@ def _guess(size: float) -> str:
         return ", so it was m/s^2 already (--units m/s^2)"
     if abs(size - 1000) < 300:
         return ", so the unit is mg"
-    return ", so gravity was removed, and raw acceleration must hold it" if size < 0.5 else ""
+    return _FREE if size < 0.5 else ""
 
 
 def _swing(rec: RawRecording | Recording) -> float:
@@ -168,18 +208,34 @@ def missing(rec: Recording) -> list[str]:
 def calibrated(path: Path, rec: Recording) -> list[str]:
     """Warnings on a calibrated recording; raises FormatError where gravity is in or acc is in g."""
     doubts = missing(rec)
-    for s, name in enumerate(rec.sensors):
-        a = rec.acc_world[rec.acc_valid[:, s], s]
-        if len(a) < 2 * rec.rate_hz:
-            continue
+    acc = {s: rec.acc_world[rec.acc_valid[:, s], s] for s in range(len(rec.sensors))}
+    acc = {s: a for s, a in acc.items() if len(a) >= 2 * rec.rate_hz}
+    usual = [float(np.median(np.linalg.norm(a, axis=1))) for a in acc.values()]
+    if usual and np.median(usual) > LIVELY:
+        found = f"{np.median(usual):.3g} m/s^2 in the median, more than bodies can"
+        raise FormatError(path, f"{found}: in cm/s^2 or mg?", "acc_world")
+    for s, a in acc.items():
         mean = a.mean(axis=0)
-        where = f"sensor {name}: acc_world"
+        size = float(np.linalg.norm(mean))
+        where = f"sensor {rec.sensors[s]}: acc_world"
         found = f"mean ({mean[0]:.1f}, {mean[1]:.1f}, {mean[2]:.1f}) m/s^2"
-        if np.linalg.norm(mean - [0, GRAVITY, 0]) < 2.5 or np.linalg.norm(mean) > 8:
-            raise FormatError(path, f"{found}, expected about 0: gravity must be removed", where)
-        if np.linalg.norm(mean) > _swing(rec):
+        if np.linalg.norm(mean - [0, GRAVITY, 0]) < 2.5 or size > 8:
+            raise FormatError(path, f"{found}, expected about 0: {_why(a, mean)}", where)
+        if size > _swing(rec):
             doubts.append(f"{where}: {found}, expected about 0 without gravity")
     return doubts + against_reference(path, rec)
+
+
+def _why(a: Array, mean: Array) -> str:
+    """What explains the mean of acc_world (T,3) of one sensor, where it is no movement."""
+    if np.linalg.norm(mean - [0, GRAVITY, 0]) < 2.5:
+        return "gravity must be removed"
+    if abs(float(np.linalg.norm(mean)) - GRAVITY) < 2.5:
+        return "gravity must be removed, and it should be along +y"
+    sizes = np.linalg.norm(a, axis=1)
+    if np.median(sizes) > LIVELY:
+        return f"{np.median(sizes):.3g} m/s^2 in the median, in cm/s^2 or mg?"
+    return f"neither gravity nor movement, samples of up to {sizes.max():.3g} m/s^2"
 
 
 def against_reference(path: Path, rec: Recording) -> list[str]:
@@ -196,6 +252,10 @@ def against_reference(path: Path, rec: Recording) -> list[str]:
             if deg > 30:
                 doubts.append(f"sensor {name}: {deg:.0f} deg (median) from the reference's bone")
     ratio = _acc_ratio(rec)
+    if ratio is not None and ratio < 0:
+        raise FormatError(
+            path, "opposite to what the reference motion gives: reversed in sign?", "acc_world"
+        )
     if ratio is not None and not 0.25 < ratio < 4:
         unit = ": in g (--units g)?" if 0.06 < ratio < 0.16 else ""
         raise FormatError(
@@ -207,7 +267,8 @@ def against_reference(path: Path, rec: Recording) -> list[str]:
 def _acc_ratio(rec: Recording) -> float | None:
     """Slope of acc_world on the reference's accelerations, both relative to the pelvis and smoothed.
 
-    Relative, because references without translation are known only so; None where they do not agree.
+    Relative, because references without translation are known only so; negative where they are opposite,
+    None where neither.
     """
     if rec.reference is None or len(rec) < rec.rate_hz or "pelvis" not in rec.sensors:
         return None
@@ -221,6 +282,6 @@ def _acc_ratio(rec: Recording) -> float | None:
     ok = np.isfinite(a) & np.isfinite(b)
     xy, xx, yy = (a[ok] * b[ok]).sum(), (b[ok] ** 2).sum(), (a[ok] ** 2).sum()
     # Still bodies tell nothing: their reference accelerates less than sensors err.
-    if xx < 0.25 * ok.sum() or yy == 0 or xy / np.sqrt(xx * yy) < 0.5:
+    if xx < 0.25 * ok.sum() or yy == 0 or abs(xy) < ALIKE * np.sqrt(xx * yy):
         return None
     return float(xy / xx)

@@ -208,26 +208,52 @@ def _unit(
 def _in_si(
     path: Path, rec: RawRecording, declared: dict[str, str], options: Options
 ) -> tuple[RawRecording, list[str]]:
-    """`rec` in m/s^2 and rad/s. What is not declared is inferred from stillness and plausible speed."""
+    """`rec` in m/s^2 and rad/s. What is not declared is inferred from gravity and plausible speed."""
     doubts = []
     acc = _unit(path, "acc", _ACC_UNITS, declared, options)
     if acc is None:
-        still = unit_checks.gravity_size(rec.acc, rec.rate_hz)
-        size = float(np.median(still[np.isfinite(still)])) if np.isfinite(still).any() else np.nan
-        near = [u for u in ("g", "mg") if abs(size * _ACC_UNITS[u] / ori.GRAVITY - 1) < 0.15]
-        unit = near[0] if near else "m/s^2"
+        unit, said = _by_gravity(path, rec)
         acc = _ACC_UNITS[unit]
-        said = f"{size:.2f} when still" if np.isfinite(size) else "never still, not checked"
-        doubts.append(f"the unit of acc is not declared; read as {unit} ({said})")
+        if np.isfinite(rec.acc).any():
+            doubts.append(f"the unit of acc is not declared; read as {unit} ({said})")
     gyr = _unit(path, "gyr", _GYR_UNITS, declared, options)
     rec = replace(rec, acc=rec.acc * acc)
-    if gyr is None:
+    if gyr is None and not np.isfinite(rec.gyr).any():
+        gyr = 1.0
+    elif gyr is None:
         in_degrees = _physics.gyr_in_degrees(rec)
         gyr = _GYR_UNITS["deg/s" if in_degrees else "rad/s"]
         doubts.append(
             f"the unit of gyr is not declared; read as {'deg/s' if in_degrees else 'rad/s'}"
         )
     return replace(rec, gyr=rec.gyr * gyr), doubts
+
+
+def _by_gravity(path: Path, rec: RawRecording) -> tuple[str, str]:
+    """The unit in which acc holds gravity, and how that is known; raises FormatError where none fits.
+
+    By still sensors, else by the mean over half seconds, within a factor of two: units are ten apart.
+    """
+    still = unit_checks.gravity_size(rec.acc, rec.rate_hz)
+    usual, sample = unit_checks.usual_force(rec.acc, rec.rate_hz)
+    size, when = _median(still), "when still"
+    if np.isnan(size):
+        size, when = _median(usual), "in the mean over half seconds"
+    if np.isnan(size):
+        return "m/s^2", "never still, not checked"
+    near = [u for u, f in _ACC_UNITS.items() if 0.5 < size * f / ori.GRAVITY < 2]
+    found = f"{size:.3g} {when}"
+    if not near:
+        raise FormatError(path, f"{found}, gravity in none of m/s^2, g, mg: declare it", "acc")
+    if size < 0.5 * ori.GRAVITY and _median(usual / sample) < unit_checks.KEPT:
+        raise FormatError(path, f"{found}, less than movement: it holds no gravity", "acc")
+    return near[0], found
+
+
+def _median(x: Array) -> float:
+    """Median of the finite values of x (S,); NaN where there is none."""
+    known = x[np.isfinite(x)]
+    return float(np.median(known)) if len(known) else float("nan")
 
 
 def _world(
@@ -285,7 +311,7 @@ def _read(path: Path, options: Options) -> Document:
     if ignored:
         doubts.append(f"columns not read: {', '.join(ignored[:12])}")
     doubts += [*_opensim.unknown(sensors), *_physics.raw(path, rec)]
-    return Document("csv", rec, tuple(assumed), tuple(doubts))
+    return Document("csv", rec, (*assumed, *_physics.assumed(rec)), tuple(doubts))
 
 
 def _files(folder: Path) -> list[Path]:

@@ -261,7 +261,7 @@ def _read(path: Path, options: Options) -> Document:
     schema = _npz.Fields(path, _npz.load(path, ("schema",))).text("schema")
     if schema == RAW:
         raw = read_raw(path, options)
-        return Document("native", raw, warnings=tuple(_physics.raw(path, raw)))
+        return Document("native", raw, _physics.assumed(raw), tuple(_physics.raw(path, raw)))
     if schema == RECORDING:
         recording = read_recording(path, options)
         return Document("native", recording, warnings=tuple(_physics.calibrated(path, recording)))

@@ -62,8 +62,10 @@ class Player:
         )
         self._play = gui.add_button("Pause")
         self._speed = gui.add_dropdown("speed", SPEEDS, initial_value="1")
+        # Paths drift by metres: several bodies would not stay side by side.
+        several = len(self._tracks) > 1
         self._stay = gui.add_checkbox(
-            "in place", initial_value=False, hint="without the bodies' path on the floor"
+            "in place", initial_value=several, hint="without the bodies' path on the floor"
         )
 
         @self._play.on_click

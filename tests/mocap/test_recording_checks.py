@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -77,6 +78,49 @@ def test_realistic_noise_raises_no_alarm(tmp_path: Path, seed: int) -> None:
         _physics.calibrated(tmp_path, synthesis.recording(moving, files.DIP_17, noise, seed)),
     ):
         assert len(doubts) == 1 and "samples are missing" in doubts[0]
+
+
+def test_a_spike_is_told_and_blamed_on_nothing_else(tmp_path: Path) -> None:
+    rec = synthesis.raw_recording(files.motion(T=600), files.LEGS, synthesis.Noise(), 1)
+    rec = replace(rec, valid=np.ones_like(rec.valid), gyr=np.nan_to_num(rec.gyr), mag=None)
+    acc = rec.acc.copy()
+    acc[400, 3] = 1e6
+    for R in (rec.R_world_sensor, None):
+        doubts = _physics.raw(tmp_path, replace(rec, acc=acc, R_world_sensor=R))
+        (said,) = [d for d in doubts if "missing or not finite" not in d]
+        assert said.startswith("sensor left_shank: 1 sample beyond what sensors can measure")
+        assert "the first at 6.67 s: acc 1e+06 m/s^2" in said
+
+
+def test_a_sensor_without_acc_is_told(tmp_path: Path) -> None:
+    rec = files.raw(T=600)
+    acc = rec.acc.copy()
+    acc[:, 1] = np.nan
+    assert _physics.raw(tmp_path, replace(rec, acc=acc)) == ["no sample of acc from left_thigh"]
+
+
+@pytest.mark.parametrize("noise", [None, synthesis.Noise()])
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda a: -a, "acc_world: opposite to what the reference motion gives"),
+        (lambda a: 1000 * a, "in cm/s.2 or mg"),
+        (lambda a: a + np.array([0, ori.GRAVITY, 0]), "gravity must be removed$"),
+        (lambda a: a + np.array([0, 0, ori.GRAVITY]), "removed, and it should be along .y"),
+        (lambda a: a + np.array([20.0, 0, 0]), "neither gravity nor movement"),
+    ],
+)
+def test_what_is_wrong_with_acc_world(
+    tmp_path: Path, noise: synthesis.Noise | None, change: Callable, message: str
+) -> None:
+    """The cause that is named is the one there is, with and without a reference."""
+    rec = synthesis.recording(files.motion(T=600), files.DIP_17, noise, 1)
+    wrong = replace(rec, acc_world=change(rec.acc_world))
+    with pytest.raises(FormatError, match=message):
+        _physics.calibrated(tmp_path, wrong)
+    if "reference" not in message:
+        with pytest.raises(FormatError, match=message):
+            _physics.calibrated(tmp_path, replace(wrong, reference=None))
 
 
 def test_a_table_of_orientations_can_be_calibrated(tmp_path: Path) -> None:

@@ -140,6 +140,63 @@ def test_csv_degrees_without_orientation(tmp_path: Path) -> None:
         _physics.raw(tmp_path, bare)
 
 
+def _bare(acc: float) -> RawRecording:
+    """Noisy sensors without orientation, none of them ever still."""
+    rec = synthesis.raw_recording(files.motion(T=600), files.LEGS, synthesis.Noise(), 1)
+    return RawRecording(rec.rate_hz, rec.sensors, rec.gyr, acc * rec.acc)
+
+
+def _undeclared(folder: Path, rec: RawRecording) -> Path:
+    """`rec` as a table that does not say its units."""
+    assert csv.FORMAT.write is not None
+    csv.FORMAT.write(folder / "u.csv", rec)
+    lines = (folder / "u.csv").read_text().splitlines()
+    (folder / "u.csv").write_text("\n".join(lines[1:]) + "\n")
+    return folder / "u.csv"
+
+
+@pytest.mark.parametrize(
+    ("unit", "acc"), [("g", 1 / ori.GRAVITY), ("mg", 1000 / ori.GRAVITY), ("m/s^2", 1.0)]
+)
+def test_csv_units_of_noisy_sensors(tmp_path: Path, unit: str, acc: float) -> None:
+    """White noise of 0.35 m/s^2 an axis leaves no sensor still: the mean over half seconds tells."""
+    want = _bare(1.0)
+    assert np.isnan(unit_checks.gravity_size(want.acc, want.rate_hz)).all()
+    document = csv.FORMAT.read(_undeclared(tmp_path, _bare(acc)), NONE)
+    np.testing.assert_allclose(_raw(document).acc, want.acc, rtol=1e-6, atol=1e-5)
+    (said,) = [w for w in document.warnings if "unit of acc" in w]
+    assert f"not declared; read as {unit} (" in said and "in the mean over half seconds" in said
+    assert any("not gravity: only orientations could tell" in a for a in document.assumptions)
+
+
+@pytest.mark.parametrize("acc", [0.01, 0.3, 6.0])
+def test_csv_undeclared_units_that_fit_none(tmp_path: Path, acc: float) -> None:
+    with pytest.raises(FormatError, match=r"in none of m/s.2, g, mg: declare it"):
+        csv.FORMAT.read(_undeclared(tmp_path, _bare(acc)), NONE)
+
+
+def test_csv_undeclared_without_gravity(tmp_path: Path) -> None:
+    """What is left without gravity is about 1 m/s^2, and no gravity in g."""
+    rec = synthesis.raw_recording(files.motion(T=600), files.LEGS, synthesis.Noise(), 1)
+    assert rec.R_world_sensor is not None
+    free = rec.acc - np.einsum("tsji,j->tsi", rec.R_world_sensor, [0, ori.GRAVITY, 0])
+    bare = RawRecording(rec.rate_hz, rec.sensors, rec.gyr, free)
+    with pytest.raises(FormatError, match="gravity was removed"):
+        _physics.raw(tmp_path, bare)
+    with pytest.raises(FormatError, match="gravity"):
+        csv.FORMAT.read(_undeclared(tmp_path, bare), NONE)
+
+
+def test_csv_without_gyr(tmp_path: Path) -> None:
+    path = _undeclared(tmp_path, _bare(1.0))
+    lines = [line.split(",") for line in path.read_text().splitlines()]
+    keep = [i for i, c in enumerate(lines[0]) if "gyr" not in c]
+    path.write_text("\n".join(",".join(cells[i] for i in keep) for cells in lines) + "\n")
+    warnings = csv.FORMAT.read(path, NONE).warnings
+    assert "no sample of gyr from any sensor" in warnings
+    assert not any("unit of gyr" in w for w in warnings)
+
+
 def test_csv_gaps_empty_cells_and_odd_columns(tmp_path: Path) -> None:
     rec = files.raw()
     lines = files.csv_lines(rec, rec.sensors)

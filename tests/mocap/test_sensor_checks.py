@@ -10,13 +10,14 @@ import pytest
 
 from mocap import orientation as ori
 from mocap import sensors as places
-from mocap.channel_checks import check_channels
+from mocap.calibration import calibrate
+from mocap.channel_checks import check_channels, without_spikes
 from mocap.orientation_checks import check_orientation
 from mocap.rate_checks import check_rates
 from mocap.recording import RawRecording
 from mocap.sensor_checks import check_sensors
 from mocap.synthesis import NOISES, raw_recording
-from mocap.unit_checks import constant_force, rate_ratio
+from mocap.unit_checks import constant_force, rate_ratio, usual_force
 from poser.motions import builtin
 
 SENSORS = ("left_forearm", "right_forearm", "left_shank", "pelvis")
@@ -194,3 +195,89 @@ def test_constant_force_keeps_gravity_and_drops_noise() -> None:
     gyr = np.zeros((600, 3))
     assert constant_force(gyr, acc, 60.0) < 0.3
     assert constant_force(gyr, np.add(acc, [0, 1.0, 0]), 60.0) == pytest.approx(1.0, abs=0.1)
+
+
+def spiked(raw: RawRecording, what: str, value: float, at: int = 800) -> RawRecording:
+    """One sample of the left shank is `value` on its y axis, behind frame `at`."""
+    at += int(np.argmax(raw.valid[at:, 2]))
+    values = getattr(raw, what).copy()
+    values[at, 2, 1] = value
+    return replace(raw, **{what: values})
+
+
+@pytest.mark.parametrize(
+    ("what", "value"), [("acc", 1e6), ("acc", -2000.0), ("gyr", 3000.0), ("gyr", -90.0)]
+)
+@pytest.mark.parametrize("with_R", [True, False])
+def test_a_sample_beyond_any_range_is_missing(
+    raw: RawRecording, what: str, value: float, with_R: bool
+) -> None:
+    seen = raw if with_R else replace(raw, R_world_sensor=None)
+    bad = spiked(seen, what, value)
+    clean, (finding,) = without_spikes(bad)
+    (at,) = np.flatnonzero(seen.valid[:, 2] & ~clean.valid[:, 2])
+    assert np.isnan(clean.acc[at, 2]).all() and np.isnan(clean.gyr[at, 2]).all()
+    assert (finding.severity, finding.sensor) == ("warning", SENSORS[2])
+    assert finding.code == "impossible-sample" and finding.value == value
+    assert (
+        f"1 sample beyond what sensors can measure, taken for missing; the first at {at / 60:.2f} s: {what}"
+        in finding.sentence
+    )
+    # Nothing else is said because of it, and it is said once.
+    assert codes(bad) == {(SENSORS[2], "impossible-sample")}
+    assert without_spikes(clean)[1] == []
+
+
+def test_a_spike_does_not_touch_the_result(raw: RawRecording) -> None:
+    seen = replace(raw, R_world_sensor=None)
+    want, _ = calibrate(seen, at=1.0, facing=0.0, strict=False)
+    clean, _ = without_spikes(spiked(seen, "acc", 1e6))
+    have, _ = calibrate(clean, at=1.0, facing=0.0, strict=False)
+    both = have.ori_valid & want.ori_valid
+    off = ori.angle_between(have.R_world_bone[both], want.R_world_bone[both])
+    assert np.rad2deg(off).max() < 1
+
+
+@pytest.mark.parametrize(
+    ("what", "factor"), [("gyr", 180 / np.pi), ("acc", 1000 / ori.GRAVITY), ("acc", 100.0)]
+)
+def test_a_wrong_unit_has_no_spikes(raw: RawRecording, what: str, factor: float) -> None:
+    for seen in (raw, replace(raw, R_world_sensor=None)):
+        wrong = replace(seen, **{what: factor * getattr(seen, what)})
+        assert without_spikes(wrong)[1] == []
+
+
+def test_one_swing_in_degrees_is_no_spike() -> None:
+    """A swing of 0.4 s in 3 min of rest is rare, but it rises over several samples."""
+    t = np.arange(10800) / 60
+    swing = 500 * np.sin(np.pi * (t - 60) / 0.4) * ((t > 60) & (t < 60.4))
+    gyr, acc = np.zeros((len(t), 1, 3)), np.zeros((len(t), 1, 3))
+    gyr[:, 0, 0], acc[:, 0, 1] = swing, ori.GRAVITY
+    raw = RawRecording(60.0, ("pelvis",), gyr, acc)
+    assert without_spikes(raw)[1] == []
+
+
+@pytest.mark.parametrize("what", ["acc", "gyr"])
+def test_a_quantity_without_samples_is_named(raw: RawRecording, what: str) -> None:
+    values = getattr(raw, what).copy()
+    values[:, 1] = np.nan
+    (finding,) = [f for f in check_sensors(replace(raw, **{what: values})) if f.severity == "error"]
+    assert (finding.sensor, finding.code) == (SENSORS[1], "no-data")
+    assert f"no sample of {what}, both acc and gyr are needed" in finding.sentence
+    assert "--sensors" in finding.sentence
+
+
+def test_too_few_samples_say_how_many_are_needed(raw: RawRecording) -> None:
+    short = replace(raw, R_world_sensor=None, reference=None).slice(0, 50)
+    sentences = [f.sentence for f in check_sensors(short)]
+    assert len(sentences) == 4
+    assert all("valid samples, 60 (1 s) are needed" in s and "--sensors" in s for s in sentences)
+
+
+def test_usual_force_is_gravity_in_motion(raw: RawRecording) -> None:
+    usual, sample = usual_force(raw.acc, raw.rate_hz)
+    np.testing.assert_allclose(usual, ori.GRAVITY, rtol=0.15)
+    assert (usual > 0.9 * sample).all()
+    nothing = np.zeros((600, 1, 3))
+    assert np.isnan(usual_force(nothing, 60.0)).all()
+    assert np.isnan(usual_force(nothing[:60] + 1.0, 60.0)).all()

@@ -126,10 +126,13 @@ def test_the_player_s_time(made: Any, recording: Any, capsys: pytest.CaptureFixt
     player.step(1.0)
     assert player.time_s == 0.0
     figure = player._figures[1]
+    player._stay.value = False
+    player.step(0.0)
     for j in (0, 15, 21):
         bone = figure._mesh.bones[j]
         R = ori.from_quat(np.array(bone.wxyz))
         np.testing.assert_allclose(R, recording.reference.R_world_joint[0, j], atol=1e-6)
+    assert not Player(made, [tracks.Track("alone", slow)])._stay.value
     assert capsys.readouterr().out == ""
 
 
