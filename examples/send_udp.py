@@ -1,6 +1,7 @@
 """A sensor on the network in ten lines: turns about the vertical, 60 times a second.
 
-Receive it with: poser live --source udp:9000 --calibration bones --sensors head --sink viewer
+Receive it with:
+poser live --source udp:9000 --calibration bones --sensors head --method imuposer --sink viewer
 Run: python examples/send_udp.py [--port 9000] [--seconds 10]
 """
 

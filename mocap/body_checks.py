@@ -1,4 +1,4 @@
-"""What the sensors betray together: movement in the pose, exchanged sides, slipped sensors, lags.
+"""What the sensors betray together after the pose: slipped sensors, a trunk that leant, lags.
 
 What cannot be seen, said plainly: a mirror image of the whole body is a possible body, so left and right
 exchanged on every limb at once show only where the arms leave a T-pose or the upper arms are raised, and
@@ -14,14 +14,14 @@ import numpy as np
 
 from mocap import facing as face
 from mocap import headings as heads
-from mocap.findings import Finding, Severity
+from mocap.findings import Finding
 from mocap.limb_levels import activity
 from mocap.orientation import Array
-from mocap.recording import RawRecording, gaps
-from mocap.static_pose import NEVER_STILL, Pose, Window, still_runs, tilt_from_pose
+from mocap.recording import RawRecording
+from mocap.static_pose import Pose, Window, still_runs, tilt_from_pose
 
-MOVED_DEG = 5.0
 SLIPPED_DEG, REST_DEG = 12.0, 6.0  # tilt of one sensor since the pose; of the others meanwhile
+REST_FRAMES = 5  # of a still stance: the mean of fewer wobbles
 # Segments that people hold differently each time they stand still.
 LOOSE_DEG = {
     "head": 30.0,
@@ -37,52 +37,7 @@ LEANING_DEG = 25.0
 LAG_S = 0.1
 LAG_GAIN = 0.1  # by which a lag must correlate better than none
 LIVELY = 0.5  # standard deviation of the activity from which its course tells a lag
-UNSEEN_S = 3.0  # the filter corrects a tilt that a gap left within this time (VQF's tauAcc)
 TRUNK = ("pelvis", "lower_back", "upper_back", "sternum")
-
-
-def check_pose(raw: RawRecording, window: Window, pose: Pose) -> list[Finding]:
-    """Did a sensor, or the wearer, move during the pose?
-
-    A sensor did if it moved by more than MOVED_DEG and than its wobble and its gaps explain.
-    """
-    found = []
-    unseen = _unseen_deg(raw, window)
-    a, b = window.seconds(raw)
-    if not window.still:
-        text = (
-            f"the wearer moves at the time of the pose, {a:.2f} to {b:.2f} s "
-            f"({np.degrees(window.rate):.0f} deg/s): name another time, or let it be found"
-        )
-        # Standing people turn by up to 5 deg/s, 17 with the realistic noise, walking ones by 50 and more.
-        severity: Severity = "error" if window.rate > NEVER_STILL else "warning"
-        found.append(Finding(severity, None, "pose-not-still", text, float(window.rate)))
-    for s, name in enumerate(raw.sensors):
-        moved = float(pose.moved_deg[s])
-        explained = max(MOVED_DEG, 5.0 * float(pose.wobble_deg[s]))
-        if moved > np.hypot(explained, 2.0 * unseen[s]):
-            text = f"sensor {name}: moved by {moved:.1f} deg during the pose, {a:.2f} to {b:.2f} s"
-            found.append(Finding("warning", name, "moved-in-pose", text, moved))
-    return found
-
-
-def _unseen_deg(raw: RawRecording, window: Window) -> Array:
-    """How far, in deg, each sensor (S,) may have turned unseen in gaps that bear on the window, 1 sigma.
-
-    A gap of d s between rates of w rad/s (root mean square over 0.1 s to either side) hides about w d; the
-    filter puts that right within UNSEEN_S, which looks like movement. Gaps are independent.
-    """
-    square = np.zeros(len(raw.sensors))
-    near, margin = max(1, round(0.1 * raw.rate_hz)), round(UNSEEN_S * raw.rate_hz)
-    for gap in gaps(raw.valid):
-        s, start, stop = gap["sensor"], gap["start"], gap["start"] + gap["frames"]
-        if stop < window.start - margin or start > window.stop + margin:
-            continue
-        beside = np.r_[max(0, start - near) : start, stop : min(len(raw), stop + near)]
-        gyr = raw.gyr[beside, s][raw.valid[beside, s]]
-        if len(gyr):
-            square[s] += (gyr**2).sum(axis=1).mean() * (gap["frames"] / raw.rate_hz) ** 2
-    return np.asarray(np.degrees(np.sqrt(square)))
 
 
 def check_slipped(raw: RawRecording, window: Window, pose: Pose, name: str) -> list[Finding]:
@@ -93,7 +48,7 @@ def check_slipped(raw: RawRecording, window: Window, pose: Pose, name: str) -> l
     in which it is off, and by more the more freely its segment moves. Beyond POSTURE_DEG it is no slip.
     Arms that were held out in the pose (`name` "t") are judged only where other arms are out again.
     """
-    later = [(a, b) for a, b in still_runs(raw) if a >= window.stop]
+    later = [(a, b) for a, b in still_runs(raw) if a >= window.stop and b - a >= REST_FRAMES]
     tilts = [tilt_from_pose(raw, a, b, pose) for a, b in later]
     rows = [
         (run, t)
@@ -160,6 +115,8 @@ def check_lags(raw: RawRecording, joints: np.ndarray) -> list[Finding]:
     In a gait the thigh is always busy a little before the shank, and a lag of half a stride fits as well as
     none: where the correlation swings to the opposite within the lags tried, it does not tell a clock.
     """
+    if raw.rate_hz * LAG_S < 1:
+        return []  # a lag of one frame is more than LAG_S, and less than one does not show
     # A lag to 30 ms is enough, and the cost grows with the square of the rate.
     skip = max(1, int(raw.rate_hz // 30))
     rate = raw.rate_hz / skip

@@ -15,6 +15,7 @@ from mocap.sensors import joints_and_seats
 from mocap.unit_checks import WRONG_UNIT, gyr_ratio
 
 HELD_S = 1.0  # a sample repeated for longer to the bit is none: even small noise flips bits
+HELD = 20  # samples of it at least: at low rates a stance lasts few
 MOVING = 0.3  # rad/s, rms about the mean: what the others do meanwhile, so that nobody simply stands still
 WHOLE = 0.9  # of its samples repeated: dead throughout
 EDGE = 0.1  # of the recording, repeated at its beginning or end: padding, lost but no fault
@@ -103,7 +104,8 @@ def _frozen(raw: RawRecording) -> list[Finding]:
     for s, name in enumerate(raw.sensors):
         if len(raw.sensors) < 2 or not np.isfinite(raw.acc[:, s]).any():
             continue
-        runs = [(a, b) for a, b in _held(raw, s) if b - a > HELD_S * raw.rate_hz]
+        least = max(HELD_S * raw.rate_hz, HELD)
+        runs = [(a, b) for a, b in _held(raw, s) if b - a > least]
         runs = [(a, b) for a, b in runs if _turns(raw, s, a) or _others(raw, s, a, b)]
         held = sum(b - a for a, b in runs)
         share = held / max(int(raw.valid[:, s].sum()), 1)

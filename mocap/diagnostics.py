@@ -6,10 +6,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mocap import arm_checks, body_checks, fusion, limb_levels, sensor_checks, side_checks
+from mocap import (
+    arm_checks,
+    body_checks,
+    fusion,
+    limb_levels,
+    pose_checks,
+    sensor_checks,
+    side_checks,
+)
 from mocap import facing as face
 from mocap import orientation as ori
 from mocap import sensors as places
+from mocap.channel_checks import without_spikes
 from mocap.findings import Finding, Severity
 from mocap.recording import RawRecording, gaps
 from mocap.static_pose import Pose, Window, average
@@ -21,6 +30,7 @@ __all__ = ["Finding", "Severity", "check_before", "check_result", "diagnose", "o
 
 UNCERTAIN_DEG = 15.0
 SIDES_DEG = 25.0  # with a facing less certain than that, left is not known well enough
+POSTURE = {"pose-posture", "pose-leaning"}  # codes of a pose in which nobody stood upright
 ORDER = {"error": 0, "warning": 1, "info": 2}
 
 
@@ -30,15 +40,16 @@ def diagnose(raw: RawRecording, calibration: Calibration | None = None) -> list[
     Without a calibration: units, axes, gaps, exchanged sides and lags, which need no pose. With one:
     also movement in the pose, slipped sensors, leaning, sides of the arms, certainty of the heading.
     """
+    raw, spikes = without_spikes(raw)
     if calibration is None:
-        found = check_before(raw)
+        found = spikes + check_before(raw)
         if not any(f.severity == "error" for f in found):
             joints, _ = places.joints_and_seats(raw.sensors)
             R = raw.R_world_sensor if raw.common_heading else None
             found += limb_levels.check_swapped(raw, joints, R)
         return ordered(found)
     raw = raw.select(calibration.sensors)
-    found = check_before(raw)
+    found = [f for f in spikes if f.sensor in raw.sensors] + check_before(raw)
     if not any(f.severity == "error" for f in found):
         fused = raw
         if calibration.orientation == "vqf" or raw.R_world_sensor is None:
@@ -76,14 +87,18 @@ def check_result(
     """
     assert raw.R_world_sensor is not None
     joints, _ = places.joints_and_seats(raw.sensors)
-    found = body_checks.check_pose(raw, window, pose)
+    found = pose_checks.check_pose(raw, window, pose)
     found += limb_levels.check_swapped(raw, joints, ori.rot_y(-facing) @ raw.R_world_sensor)
     found += body_checks.check_slipped(raw, window, pose, name)
     found += body_checks.check_leaning(raw, window, pose)
-    if (sigma < np.radians(SIDES_DEG)).all():
+    found += pose_checks.check_posture(raw, window, pose, facing)
+    # Arms that lie on the thighs in the pose seem to go to the wrong side when they hang.
+    stood = not POSTURE & {f.code for f in found} and not pose_checks.doubtful(raw, window, pose)
+    if stood and (sigma < np.radians(SIDES_DEG)).all():
         found += side_checks.check_sides(raw, pose, facing, name)
     known = {f.sensor for f in found if f.code == "swapped" and f.sensor}
-    found += side_checks.check_pairs(raw, pose, facing, sigma, name, known)
+    if stood:
+        found += side_checks.check_pairs(raw, pose, facing, sigma, name, known)
     other = arm_checks.check_pose_name(raw, window, pose, facing, sigma, name, arm_angle_deg)
     if other:
         # Arms that start from another pose than said seem to go to the wrong side.

@@ -5,28 +5,24 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
-from scipy.special import chdtri
 
 from mocap import orientation as ori
 from mocap.errors import CalibrationError
 from mocap.orientation import Array
 from mocap.recording import Bool, RawRecording
+from mocap.stillness import MIN_S, SMOOTH_S, STILL_RATE, still_runs, stillness, sway, threshold
 
-SMOOTH_S = 0.4  # rates are averaged over this time: tremor and soft tissue are not movement
-STILL_RATE = 0.12  # rad/s: standing people sway below 5 deg/s, slow limb movements exceed 10
-# Of the rate that noisy gyroscopes alone leave: below, a frame counts as still.
-NOISE_QUANTILE = 0.999
-NOISE_S = 1.0  # the gyroscopes' noise is taken where it is least over this time
 # Over this time, wobble and tremor have taken back what they turned, and slow movement shows. Steps have,
 # too, which is why it only places the window within a still run.
 CALM_S = 1.0
 NEVER_STILL = 0.6  # rad/s: if the calmest moments are faster than this, nobody stood still
-MIN_S, MAX_S = 0.5, 2.0  # shortest run that counts as a pose, longest part of it that is averaged
+MAX_S = 2.0  # longest part of a still run that is averaged
 # Trunk or thighs this far from where they are in motion: sitting, lying; or standing before deep movement.
 IMPLAUSIBLE_DEG = 40.0
 RIVAL = 1 / 3  # of the best score: another window that good, in another posture, is worth a word
 POSTURE_DEG = 30.0  # tilt of some sensor from which two windows are in different postures
+# A seat tips the pelvis back by 20 deg, and has the thighs level; whoever stands again is within 10.
+SEATED_DEG = 15.0
 _UPRIGHT = ("pelvis", "sternum", "lower_back", "upper_back", "left_thigh", "right_thigh",
             "left_shank", "right_shank")  # fmt: skip
 
@@ -67,73 +63,6 @@ class Pose:
     wobble_deg: Array
 
 
-def stillness(raw: RawRecording, smooth_s: float = SMOOTH_S) -> Array:
-    """Rate of rotation of the whole body (T,), rad/s: rms over sensors of |smoothed gyr|.
-
-    The mean over smooth_s keeps net rotation and removes tremor. Invalid samples do not count; frames
-    without any valid sensor are infinite.
-    """
-    n = max(1, round(smooth_s * raw.rate_hz))
-    weight = uniform_filter1d(raw.valid.astype(float), n, axis=0)
-    gyr = np.where(raw.valid[..., None], np.nan_to_num(raw.gyr), 0.0)
-    smooth = uniform_filter1d(gyr, n, axis=0) / np.maximum(weight, 1e-9)[..., None]
-    rate = np.linalg.norm(smooth, axis=-1)
-    has = weight > 0.3
-    count = has.sum(axis=1)
-    mean = np.sqrt(np.where(has, rate**2, 0.0).sum(axis=1) / np.maximum(count, 1))
-    return np.where(count > 0, mean, np.inf)
-
-
-def threshold(raw: RawRecording, rate: Array) -> float:
-    """Limit (rad/s) of `stillness` (`rate`, of `raw`) below which the body counts as still.
-
-    STILL_RATE, or more where people tremble, or where the gyroscopes' noise alone exceeds it (skin that
-    wobbles counts as such). White noise of variance v per axis and sample, averaged over n samples,
-    leaves the mean square of 3 S normal numbers of variance v / n in three axes of S sensors: 3 v / n
-    times a chi-square of 3 S degrees of freedom over 3 S, which scatters more the fewer sensors there are.
-    """
-    dof = 3 * max(1, int(raw.valid.any(axis=0).sum()))
-    scatter = np.sqrt(chdtri(dof, 1 - NOISE_QUANTILE) / dof)
-    return max(_sway(rate), float(scatter) * _noise_rate(raw))
-
-
-def _sway(rate: Array) -> float:
-    """STILL_RATE, or more where the calmest moments are not that calm, rad/s."""
-    return max(STILL_RATE, 1.6 * float(np.percentile(rate[np.isfinite(rate)], 2)))
-
-
-def _noise_rate(raw: RawRecording) -> float:
-    """What the gyroscopes' noise leaves in `stillness`, rad/s, root mean square; 0 where it cannot be told.
-
-    White noise e_t of variance v changes by |e_t - e_{t-1}|^2 = 2 v from sample to sample, by more than
-    people do when they stand: v is taken over the NOISE_S in which that is least. Noise that takes back
-    what it turned, such as a wobble, leaves less.
-    """
-    n, span = (max(1, round(s * raw.rate_hz)) for s in (SMOOTH_S, NOISE_S))
-    both = raw.valid[1:] & raw.valid[:-1]
-    change = np.where(both[..., None], np.diff(np.nan_to_num(raw.gyr), axis=0), 0.0)
-    if len(both) < span:
-        return 0.0
-    square, count = (
-        np.convolve(x, np.ones(span), mode="valid")
-        for x in ((change**2).sum(axis=(1, 2)), both.sum(axis=1).astype(float))
-    )
-    enough = count > 0.5 * count.max()
-    if not enough.any():
-        return 0.0
-    return float(np.sqrt((square[enough] / count[enough]).min() / 2 / n))
-
-
-def still_runs(raw: RawRecording) -> list[tuple[int, int]]:
-    """All runs [start, stop) of at least MIN_S in which the whole body is still, first to last."""
-    rate = stillness(raw)
-    if not np.isfinite(rate).any():
-        raise CalibrationError("no frame has a valid sensor")
-    still = rate < threshold(raw, rate)
-    edges = np.flatnonzero(np.diff(np.r_[False, still, False])).reshape(-1, 2)
-    return [(int(a), int(b)) for a, b in edges if b - a >= MIN_S * raw.rate_hz]
-
-
 def find_static(raw: RawRecording, at: float | None = None) -> Window:
     """The window of the static pose.
 
@@ -160,11 +89,13 @@ def find_static(raw: RawRecording, at: float | None = None) -> Window:
     scores = [_score(raw, rate, a, b) for a, b in windows]
     order = np.argsort(scores)[::-1]
     start, stop = windows[order[0]]
+    lean = _leans(raw, rate, start, stop)
     rivals = [
         windows[k]
         for k in order[1:]
         if scores[k] > RIVAL * scores[order[0]]
         and _apart_deg(raw, windows[k], (start, stop)) > POSTURE_DEG
+        and not _sits(_leans(raw, rate, *windows[k]), lean)
     ]
     rival = rivals[0] if rivals else None
     return Window(start, stop, float(rate[start:stop].mean()), True, True, rival)
@@ -272,8 +203,15 @@ def _lean_from_motion(raw: RawRecording, rate: Array, a: int, b: int) -> float:
 
     Not the median, because whoever sits has shanks and trunk upright as well.
     """
-    moving = rate > max(3 * _sway(rate), threshold(raw, rate))
-    angles = []
+    leans = _leans(raw, rate, a, b)
+    leans = leans[np.isfinite(leans)]
+    return float(np.percentile(leans, 80)) if len(leans) else 0.0
+
+
+def _leans(raw: RawRecording, rate: Array, a: int, b: int) -> Array:
+    """That angle (S,) in deg of every sensor; NaN for arms and head, and where too little is seen."""
+    moving = rate > max(3 * sway(rate), threshold(raw, rate))
+    angles = np.full(len(raw.sensors), np.nan)
     for s, name in enumerate(raw.sensors):
         if name not in _UPRIGHT:
             continue
@@ -281,8 +219,13 @@ def _lean_from_motion(raw: RawRecording, rate: Array, a: int, b: int) -> float:
         if len(here) and len(there) > 5 * raw.rate_hz:
             u, v = here.mean(axis=0), there.mean(axis=0)
             cos = u @ v / max(np.linalg.norm(u) * np.linalg.norm(v), 1e-9)
-            angles.append(np.degrees(np.arccos(np.clip(cos, -1, 1))))
-    return float(np.percentile(angles, 80)) if angles else 0.0
+            angles[s] = np.degrees(np.arccos(np.clip(cos, -1, 1)))
+    return angles
+
+
+def _sits(leans: Array, stance: Array) -> bool:
+    """Is some part of trunk or legs SEATED_DEG further from where it is in motion than in another window?"""
+    return bool((np.nan_to_num(leans - stance) > SEATED_DEG).any())
 
 
 def tilt_from_pose(raw: RawRecording, a: int, b: int, pose: Pose) -> Array:

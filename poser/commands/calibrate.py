@@ -85,7 +85,9 @@ def add_arguments(parser: ArgumentParser) -> None:
         help="the file's (default where it has one), or fused from gyr, acc and mag",
     )
     parser.add_argument(
-        "--no-strict", action="store_true", help="go on where a diagnostic is an error"
+        "--no-strict",
+        action="store_true",
+        help="go on where a diagnostic is an error; warnings never stop",
     )
     parser.add_argument("--sensors", metavar="S", help=f"{options.SENSORS_HELP} (default: all)")
     options.add_reading(parser)

@@ -138,10 +138,11 @@ def cut_window(
     a = 0 if begin is None else max(0, round((begin - origin) * rate))
     b = len(recording) if end is None else min(len(recording), round((end - origin) * rate))
     if b - a < 1:
+        since = "" if begin is None else f" from {begin:g} s"
+        until = "" if end is None else f" to {end:g} s"
+        last = round(origin + recording.seconds, 3)
         raise PoserError(
-            f"no frame from {begin if begin is not None else origin:g} s to "
-            f"{end if end is not None else origin + recording.seconds:g} s: it runs from "
-            f"{origin:g} s to {origin + recording.seconds:g} s"
+            f"no frame{since}{until or ' on'}: it runs from {round(origin, 3):g} s to {last:g} s"
         )
     return recording.slice(a, b), a
 

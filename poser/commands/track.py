@@ -114,6 +114,9 @@ def _chosen(recording: Recording, network: str, path: Path, free: bool) -> Recor
     for place, sensor in found.items():
         if sensor != place:
             note(f"{path}: {sensor} stands in for {place}, which is on the same bone")
+    idle = [n for n in recording.sensors if n not in found.values()]
+    if idle and not free:
+        note(f"{path}: {network} does not read {', '.join(idle)}")
     return recording.select(tuple(found.values()))
 
 

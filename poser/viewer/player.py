@@ -136,5 +136,12 @@ class Player:
         before = clock()
         while not stop.wait(1.0 / RATE_HZ):
             now = clock()
-            self.step(now - before)
+            try:
+                self.step(now - before)
+            except RuntimeError as e:
+                # viser wakes its clients' tasks (asyncio.Event.set) from this thread while one of them comes
+                # or goes. The next step sends all of it again.
+                if "mutated during iteration" not in str(e):
+                    raise
+                self._shown = None
             before = now

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import numpy as np
@@ -155,6 +156,26 @@ def test_files_that_state_their_time_share_a_clock(made: Any) -> None:
     assert [f.label for f in player._figures] == ["whole", "part (ended)", "free"]
     player.step(1.0)
     assert player.time_s == 42.0  # the end is followed by where it began
+
+
+def test_a_client_that_comes_in_mid_step_does_not_end_it(
+    made: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    player, stop, said = Player(made, [tracks.Track("a", motions.walk(4.0))]), Event(), []
+
+    def step(passed_s: float) -> None:
+        said.append(passed_s)
+        if len(said) == 1:
+            raise RuntimeError("deque mutated during iteration")
+        if len(said) == 3:
+            stop.set()
+
+    monkeypatch.setattr(player, "step", step)
+    player.run(stop)
+    assert len(said) == 3 and player._shown is None
+    monkeypatch.setattr(player, "step", lambda _: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        player.run(Event())
 
 
 def test_what_cannot_be_viewed(folder: Path, refusal: Any, monkeypatch: pytest.MonkeyPatch) -> None:
