@@ -1,22 +1,23 @@
 """What the diagnostics of raw recordings find: `python benchmarks/diagnostics.py`.
 
 Reversed axes: of 18 axes of six sensors on 22 s of the built-in motion, how many are named, for acc and gyr,
-by file orientation and from gyr and acc alone. Exchanged sides (needs the data): the score of shanks and
-forearms (`mocap.side_checks`) on clips of 8 to 20 s of validation and test subjects after an N-pose of 2 s,
-sensors with the realistic noise; that of the exchanged pair is its negative. Clips whose rig flips are left
-out.
+by file orientation and from gyr and acc alone. Exchanged sides of six sensors with the realistic noise: how
+often `calibrate` names exchanged shanks, exchanged forearms, and right pairs, on the built-in motion over
+SEEDS seeds of the noise, as it is and after 3 s in the N-pose, and (needs the data) on clips of 8 to 20 s
+of validation and test subjects after an N-pose of 2 s; those whose rig flips are left out. Arms exchanged
+with legs: the same of suits, hand with foot and forearm with shank of one side.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
-import numpy as np
 from common import machine, row, seed_of
 
 from learned.corpus import FLIP_RAD
-from mocap import Motion, RawRecording, dataset, fusion, sensors, side_checks, static_pose
+from mocap import Motion, RawRecording, dataset, fusion, sensors
 from mocap import orientation as ori
 from mocap.calibration import calibrate
 from mocap.sensor_checks import check_sensors
@@ -25,6 +26,8 @@ from poser.motions import builtin
 from poser.staging import with_static_pose
 
 END_JOINTS = [7, 8, 12, 15, 20, 21]
+SEEDS = 10
+WIDTHS = (18, 6, 8, 8, 8, 10)
 
 
 def reversed_axes(raw: RawRecording, what: str) -> tuple[int, int]:
@@ -43,18 +46,69 @@ def clips() -> Iterator[tuple[str, Motion]]:
     for split in ("validation", "test"):
         for name, motion in dataset.clips(split, ("cmu",), 60.0, 8.0, 20.0):  # type: ignore[arg-type]
             if (ori.angle(motion.R_parent_joint[:, END_JOINTS]) < FLIP_RAD).all():
-                yield name, motion
+                yield name, with_static_pose(motion, "n", 2.0)
+    for name, motion in dataset.clips("validation", ("bandai",), 60.0, 8.0, 20.0):
+        yield name, with_static_pose(motion, "n", 2.0)
 
 
-def scores(raw: RawRecording) -> dict[str, float]:
-    """Score of either kind, facing as the calibration finds it."""
-    _, found = calibrate(raw, pose="n", at=1.0, strict=False)
-    fused = raw if raw.R_world_sensor is not None else fusion.with_orientation(raw)
-    pose = static_pose.average(fused, static_pose.find_static(fused, 1.0))
+def exchanged(a: str, b: str) -> dict[str, str]:
+    return {a: b, b: a}
+
+
+def sides(kind: str) -> dict[str, str]:
+    return exchanged(f"left_{kind}", f"right_{kind}")
+
+
+MISTAKES: dict[str, dict[str, str]] = {
+    "none": {},
+    "shank": sides("shank"),
+    "forearm": sides("forearm"),
+}
+MISPLACED: dict[str, dict[str, str]] = {
+    "none": {},
+    "hand with foot": exchanged("left_hand", "left_foot"),
+    "forearm with shank": exchanged("left_forearm", "left_shank"),
+}
+
+
+def named(raw: RawRecording) -> set[str | None]:
+    """Sensors that the calibration says are exchanged."""
+    at = raw.start_s + 1.0
     return {
-        kind: side_checks.side_score(fused, pose, -found.heading, kind)
-        for kind in side_checks.WEIGHTS
+        f.sensor for f in calibrate(raw, at=at, strict=False)[1].diagnostics if f.code == "swapped"
     }
+
+
+def count(recordings: Iterable[RawRecording], mistakes: dict[str, dict[str, str]]) -> Counter[str]:
+    """How often each mistake is named as it is; "none": right ones that are accused."""
+    found: Counter[str] = Counter()
+    for raw in recordings:
+        found["recordings"] += 1
+        for mistake, pairs in mistakes.items():
+            who = named(raw.renamed(pairs))
+            found[mistake] += bool(who) if mistake == "none" else set(pairs) <= who
+    return found
+
+
+def both_ways(
+    motions: Iterable[tuple[int, Motion]], places: tuple[str, ...]
+) -> tuple[list[RawRecording], list[RawRecording]]:
+    """What sensors read with the orientation of the file, and with that of VQF without a magnetometer."""
+    file = [
+        replace(raw_recording(m, places, NOISES["realistic"], seed), mag=None)
+        for seed, m in motions
+    ]
+    return file, [fusion.with_orientation(replace(raw, R_world_sensor=None)) for raw in file]
+
+
+def report(what: str, motions: Iterable[tuple[int, Motion]]) -> None:
+    for way, recordings in zip(("file", "vqf"), both_ways(motions, sensors.SIX), strict=True):
+        found = count(recordings, MISTAKES)
+        print(
+            row(
+                (what, way, *(found[x] for x in ("recordings", "shank", "forearm", "none"))), WIDTHS
+            )
+        )
 
 
 def main() -> None:
@@ -64,22 +118,17 @@ def main() -> None:
         raw = replace(raw_recording(motion, sensors.SIX, settings, 0), mag=None)
         for way, seen in (("file", raw), ("gyr+acc", replace(raw, R_world_sensor=None))):
             for what in ("acc", "gyr"):
-                named, count = reversed_axes(seen, what)
-                print(f"noise {noise}, {way}: {named} of {count} reversed axes of {what} named")
-    widths = (10, 8, 8, 8, 14, 14)
-    print(row(("pair", "way", "clips", "least", "named swapped", "named right"), widths))
-    found: dict[tuple[str, str], list[float]] = {}
-    for name, motion in clips():
-        raw = raw_recording(
-            with_static_pose(motion, "n", 2.0), sensors.SIX, NOISES["realistic"], seed_of(name)
-        )
-        for way, seen in (("file", raw), ("vqf", replace(raw, R_world_sensor=None, mag=None))):
-            for kind, score in scores(seen).items():
-                found.setdefault((kind, way), []).append(score)
-    for (kind, way), values in found.items():
-        limit, v = side_checks.EXCHANGED[kind], np.array(values)
-        cells = (f"{v.min():.2f}", int((-v < limit).sum()), int((v < limit).sum()))
-        print(row((kind, way, len(v), *cells), widths))
+                reversed_, all_ = reversed_axes(seen, what)
+                print(f"noise {noise}, {way}: {reversed_} of {all_} reversed axes of {what} named")
+    print(row(("exchanged sides of", "way", "number", "shanks", "forearms", "right ones"), WIDTHS))
+    report("built-in", ((seed, motion) for seed in range(SEEDS)))
+    posed = with_static_pose(motion, "n", 3.0)
+    report("N-pose, built-in", ((seed, posed) for seed in range(SEEDS)))
+    people = [(seed_of(name), motion) for name, motion in clips()]
+    report("other people", people)
+    suits = both_ways(people, sensors.SUIT)[0]
+    for mistake, number in count(suits, MISPLACED).items():
+        print(f"suits of other people, exchanged: {mistake}: {number}")
 
 
 if __name__ == "__main__":

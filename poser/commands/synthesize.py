@@ -66,10 +66,6 @@ def add_arguments(parser: ArgumentParser) -> None:
 def run(args: Namespace) -> int:
     if args.static_seconds is not None and args.static_pose is None:
         raise UsageError("argument --static-seconds: of no use without --static-pose")
-    if args.output.suffix == ".npz" and not args.output.exists():
-        raise UsageError(
-            f"argument -o: {args.output} would be a folder of recordings, DIR/NAME.npz"
-        )
     with files.folder(args.output):
         return _synthesize(args)
 

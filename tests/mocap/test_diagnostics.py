@@ -190,19 +190,30 @@ def test_flipped_axes_at_other_rates(rate: float) -> None:
     assert "axis y of acc is reversed" in findings[0].sentence
 
 
-@pytest.mark.parametrize("kinds", [("shank",), ("forearm",), ("shank", "forearm")])
-@pytest.mark.parametrize("noise", ["none", "realistic"])
-def test_exchanged_pair_that_is_alone_on_its_limbs(kinds: tuple[str, ...], noise: str) -> None:
-    """Six sensors, one pair on each pair of limbs: pelvis and habits tell the sides."""
-    raw = make(builtin(60.0, 22.6), noise, 0, places.SIX)
-    assert "swapped" not in {f.code for f in calibrate(raw)[1].diagnostics}
-    pairs = {
-        f"{a}_{k}": f"{b}_{k}" for k in kinds for a, b in (("left", "right"), ("right", "left"))
-    }
-    # The clean built-in arms turn too little to be sure of (score -0.8, limit -1).
-    sure = {p for p in pairs if noise == "realistic" or p.endswith("shank")}
-    _, cal = calibrate(raw.renamed(pairs))
-    assert {f.sensor for f in cal.diagnostics if f.code == "swapped"} == sure
+def swapped(raw: RawRecording) -> set[str | None]:
+    return {f.sensor for f in calibrate(raw)[1].diagnostics if f.code == "swapped"}
+
+
+@pytest.mark.parametrize("start", ["as it is", "N-pose"])
+def test_exchanged_pair_that_is_alone_on_its_limbs(start: str) -> None:
+    """Six sensors, one pair on each pair of limbs: pelvis and habits tell the sides, whatever the noise."""
+    programme = builtin(60.0, 22.6)
+    if start == "N-pose":
+        programme = with_static_pose(programme, "n", 3.0)
+    count = {"shank": 0, "forearm": 0, "both": 0}
+    seeds = range(5)
+    for seed in seeds:
+        raw = make(programme, "realistic", seed, places.SIX)
+        assert swapped(raw) == set()
+        for which in count:
+            kinds = ("shank", "forearm") if which == "both" else (which,)
+            sides = (("left", "right"), ("right", "left"))
+            pairs = {f"{a}_{k}": f"{b}_{k}" for k in kinds for a, b in sides}
+            who = swapped(raw.renamed(pairs))
+            assert who <= set(pairs)
+            count[which] += who == set(pairs)
+    # Over 10 seeds (benchmarks/diagnostics.py) it is 10 of forearms, 9 or 10 of shanks.
+    assert count["forearm"] == len(seeds) and count["shank"] >= 4 and count["both"] >= 4
 
 
 def test_exchanged_pair_of_a_real_person(shared: Path) -> None:

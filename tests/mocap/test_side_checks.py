@@ -75,13 +75,14 @@ def test_levels_that_agree_are_on_the_same_sides() -> None:
 
 
 def test_a_whole_limb_takes_a_clearer_score(monkeypatch: pytest.MonkeyPatch) -> None:
-    """-1.3 names forearms that are alone, not those of a suit whose other levels agree; -1.6 does."""
+    """-1.3 names pairs that are alone, not those of a suit whose other levels agree; -1.6 does."""
     raw = worn(builtin(60.0, 22.6), places.SUIT, "realistic")
-    monkeypatch.setattr(side_checks, "side_score", lambda raw, pose, facing, kind: -1.3)
+    monkeypatch.setattr(side_checks, "side_score", lambda *_: -1.3)
     assert named(raw) == set()
-    assert {"left_forearm", "right_forearm"} <= named(raw.select(places.SIX))
-    monkeypatch.setattr(side_checks, "side_score", lambda raw, pose, facing, kind: -1.6)
-    assert {"left_forearm", "right_forearm"} == named(raw)
+    pairs = {f"{side}_{kind}" for side in ("left", "right") for kind in ("forearm", "shank")}
+    assert named(raw.select(places.SIX)) == pairs
+    monkeypatch.setattr(side_checks, "side_score", lambda *_: -1.6)
+    assert named(raw) == pairs
 
 
 @pytest.mark.parametrize("name", ["14_31", "14_07", "salsa_22", "14_37", "02_05", "indian_04"])
@@ -93,3 +94,55 @@ def test_other_people_are_not_accused(name: str) -> None:
         raw = worn(motion, places.SUIT, noise)
         assert named(raw, facing=facing) == set(), noise
         assert named(raw.select(places.SIX), facing=facing) == set(), noise
+
+
+def score(raw: RawRecording, kind: str, facing: float = 0.0, sigma: float = 0.1) -> float:
+    """The side score of sensors whose facing is known to sigma, rad."""
+    static = average(raw, find_static(raw, 1.5))
+    S = len(raw.sensors)
+    return side_checks.side_score(raw, static, np.full(S, facing), np.full(S, sigma), kind)
+
+
+@pytest.mark.parametrize("kind", ["shank", "forearm"])
+def test_an_exchange_changes_the_sign_of_the_score(kind: str) -> None:
+    raw = worn(builtin(60.0, 22.6), places.SIX, "realistic")
+    assert score(raw, kind) > 1.0
+    np.testing.assert_allclose(score(exchanged(raw, (kind,)), kind), -score(raw, kind), atol=1e-9)
+
+
+def test_forearms_need_no_facing_and_do_not_accuse_where_it_is_opposite() -> None:
+    raw = worn(builtin(60.0, 22.6), places.SIX, "realistic")
+    assert score(raw, "shank", sigma=np.pi) == 0.0
+    assert score(raw, "forearm", sigma=np.pi) > 1.0
+    np.testing.assert_allclose(
+        score(raw, "forearm", sigma=np.pi),
+        score(raw, "forearm", facing=2.0, sigma=np.pi),
+        atol=0.05,
+    )
+    assert score(raw, "forearm", facing=np.pi) >= 0.0  # tilt says one side, habits the other
+
+
+def test_the_side_to_which_up_tilts_is_independent_of_what_the_pelvis_does() -> None:
+    """`tilt` is +-(mean over spread) of sin(angle) of arms raised sideways by that angle, whoever turns."""
+    t = np.linspace(0.0, 2 * np.pi, 400)
+    angle = 0.6 * (1 - np.cos(t))
+    turned = ori.rot_y(3.0 * np.sin(t))
+    D = np.stack([turned, turned @ ori.rot_z(angle), turned @ ori.rot_z(-angle)], axis=1)
+    x = 2 * np.sin(angle)
+    cues = side_checks._cues(D, np.zeros((400, 3, 3)), 60.0)
+    np.testing.assert_allclose(cues["tilt"], x.mean() / (x.std() + side_checks.FLOOR), atol=1e-9)
+    np.testing.assert_allclose(cues["outward"], 0.0, atol=1e-6)
+
+
+def test_a_body_that_turns_throws_its_left_side_outward_and_back() -> None:
+    """Rigid body, heading a sin(f t), sides 0.2 m apart: acc = dw/dt e_y x r - w^2 r."""
+    t = np.arange(1800) / 60.0
+    heading = 1.5 * np.sin(2 * np.pi * 0.15 * t)
+    w = np.gradient(heading, t)
+    left = np.stack([np.cos(heading), np.zeros_like(t), -np.sin(heading)], axis=-1)
+    back = -np.stack([np.sin(heading), np.zeros_like(t), np.cos(heading)], axis=-1)
+    at = 0.1 * (np.gradient(w, t)[:, None] * back - w[:, None] ** 2 * left)
+    acc = np.stack([np.zeros_like(at), at, -at], axis=1)
+    D = np.repeat(ori.rot_y(heading)[:, None], 3, axis=1)
+    cues = side_checks._cues(D, acc, 60.0)
+    assert cues["turning"] > 0.95 and cues["round"] > 0.95
