@@ -7,12 +7,13 @@ imported, and only once it runs, so that `poser --help` is quick.
 from __future__ import annotations
 
 import argparse
+import difflib
 import importlib
 import os
 import sys
 import traceback
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NoReturn
 
 from poser import commands
@@ -23,6 +24,23 @@ DEBUG_HELP = "show where an error comes from"
 
 class Parser(argparse.ArgumentParser):
     """An argument parser whose errors are one sentence."""
+
+    commands: Mapping[str, Parser] = {}
+
+    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """As argparse's; what a command does not know is told by that command, with the nearest option."""
+        found, unknown = self.parse_known_args(args, namespace)
+        if unknown:
+            command = self.commands.get(found.command, self)
+            command.error(
+                f"unrecognized arguments: {' '.join(unknown)}{command._nearest(unknown[0])}"
+            )
+        return found
+
+    def _nearest(self, word: str) -> str:
+        options = [o for o in self._option_string_actions if o.startswith("--")]
+        near = difflib.get_close_matches(word.split("=")[0], options, 1)
+        return f"; did you mean {near[0]}?" if near else ""
 
     def error(self, message: str) -> NoReturn:
         complain(f"{message} (see {self.prog} --help)", self.prog)
@@ -47,6 +65,7 @@ def parser() -> Parser:
     top.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
     top.add_argument("--debug", action="store_true", help=DEBUG_HELP)
     subparsers = top.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    top.commands = subparsers.choices
     for name in commands.NAMES:
         module = importlib.import_module(f"poser.commands.{name}")
         sub = subparsers.add_parser(

@@ -8,7 +8,7 @@ is imported.
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -169,7 +169,15 @@ def _renamed(path: Path, raw: RawRecording, names: dict[str, str] | Path | None)
         if not names.exists():
             raise FormatError(names, "no such file")
         raise FormatError(names, "is no mapping for this kind of file, expected NAME=PLACE,...")
-    odd = [n for n in names if n not in raw.sensors]
-    if odd:
-        raise FormatError(path, f"has no sensor {odd[0]!r} to map; it has {', '.join(raw.sensors)}")
+    check_mapped(path, names, raw.sensors)
     return raw.renamed(names)
+
+
+def check_mapped(path: Path, mapping: dict[str, str] | Path | None, sensors: Sequence[str]) -> None:
+    """Raises FormatError where a mapping said in words names a sensor that the file lacks.
+
+    Mapping files are of a sensor set, of which a recording may hold a part.
+    """
+    odd = [n for n in mapping if n not in sensors] if isinstance(mapping, dict) else []
+    if odd:
+        raise FormatError(path, f"has no sensor {odd[0]!r} to map; it has {', '.join(sensors)}")

@@ -19,7 +19,17 @@ import numpy as np
 from mocap import orientation as ori
 from mocap import unit_checks
 from mocap.errors import FormatError
-from mocap.formats import Content, Document, Format, Options, _checks, _opensim, _physics, _text
+from mocap.formats import (
+    Content,
+    Document,
+    Format,
+    Options,
+    _checks,
+    _opensim,
+    _physics,
+    _text,
+    check_mapped,
+)
 from mocap.formats._files import write_aside
 from mocap.orientation import Array
 from mocap.recording import RawRecording
@@ -283,6 +293,7 @@ def _read(path: Path, options: Options) -> Document:
     rate, frames_of, T, start, doubts = _clock(path, tables, declared, options)
     given = _opensim.given(options)
     names = [n for t in tables for n in t.sensors]
+    check_mapped(path, options.mapping, names)
     columns = [c for t in tables for c in t.sensors.values()]
     frames = [f for f, t in zip(frames_of, tables, strict=True) for _ in t.sensors]
     sensors = tuple(given.get(n, n) for n in names)

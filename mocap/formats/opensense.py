@@ -14,7 +14,7 @@ import numpy as np
 
 from mocap import orientation as ori
 from mocap.errors import FormatError
-from mocap.formats import Document, Format, Options, _checks, _opensim, _text
+from mocap.formats import Document, Format, Options, _checks, _opensim, _text, check_mapped
 from mocap.orientation import Array
 from mocap.recording import RawRecording
 
@@ -81,6 +81,7 @@ def _read(path: Path, options: Options) -> Document:
             path, f"{line[:40]!r}, expected 'time' and sensor names", f"line {number}"
         )
     t, quat = _rows(path, lines, columns)
+    check_mapped(path, options.mapping, columns)
     sensors = _names(columns, options)
     if len(t) == 1 and options.rate_hz is None:
         raise FormatError(path, "one row only, so no rate (say rate)")

@@ -16,7 +16,16 @@ import numpy as np
 from mocap import orientation as ori
 from mocap import unit_checks
 from mocap.errors import CalibrationError, FormatError
-from mocap.formats import Document, Format, Options, _checks, _mat5, _opensim, _physics
+from mocap.formats import (
+    Document,
+    Format,
+    Options,
+    _checks,
+    _mat5,
+    _opensim,
+    _physics,
+    check_mapped,
+)
 from mocap.orientation import Array
 from mocap.recording import RawRecording
 from mocap.static_pose import find_static
@@ -169,6 +178,7 @@ def _read(path: Path, options: Options) -> Document:
     if "t" not in data or not found:
         raise FormatError(path, f"no variable t and no segment among {', '.join(PLACES)}")
     segments = list(found)
+    check_mapped(path, options.mapping, segments)
     t = _time(path, data["t"])
     rate, frames, doubts = _checks.grid(path, t, "variable t")
     if len(frames) != frames[-1] + 1:

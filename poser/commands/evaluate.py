@@ -205,7 +205,7 @@ def rows(found: Metrics, others: Sequence[Metrics]) -> list[tuple[str, ...]]:
         if getattr(found, name) is not None:
             values = [getattr(m, name) for m in (found, *others)]
             out.append((words, *("-" if v is None else f"{v:.2f}" for v in values), unit, name))
-    blank = [""] * len(others)  # they say nothing of where the body is
+    blank = ["-"] * len(others)  # they say nothing of where the body is
     for seconds, value in (found.translation_m or {}).items():
         if value is not None:
             out.append((f"drift after {seconds} s", f"{value:.2f}", *blank, "m", "translation_m"))

@@ -455,3 +455,18 @@ def test_pickles_are_told_apart(tmp_path: Path) -> None:
     for path, module in ((files.dip(tmp_path), dip), (files.tc_pkl(tmp_path), totalcapture)):
         found = [m for m in (dip, totalcapture) if m.FORMAT.sniff(path, path.read_bytes()[:4096])]
         assert found == [module]
+
+
+@pytest.mark.parametrize("kind", ["qmt", "csv", "sto"])
+def test_a_mapping_of_a_sensor_that_is_not_there(
+    kind: str, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    if kind == "qmt":
+        path = request.getfixturevalue("shared") / "data/qmt-fullbody/full_body_example_data.mat"
+    elif kind == "sto":
+        path = files.sto(tmp_path)
+    else:
+        path = tmp_path / "a.csv"
+        path.write_text("t,pelvis.acc_x,pelvis.acc_y,pelvis.acc_z\n0,0,9.81,0\n0.01,0,9.81,0\n")
+    with pytest.raises(FormatError, match=r"has no sensor 'foo' to map; it has \w+"):
+        read(path, Options(mapping={"foo": "pelvis"}))

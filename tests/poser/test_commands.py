@@ -268,6 +268,16 @@ def test_one_bad_motion_does_not_stop_the_others(
     assert [p.name for p in (tmp_path / "out").iterdir()] == ["walk.npz"]
 
 
+def test_an_unknown_option_is_told_by_its_command(refusal: Refusal) -> None:
+    status, said = refusal("solve", "a.npz", "-o", "b.npz", "--sensros", "six")
+    assert status == 2
+    assert said.strip() == (
+        "poser solve: unrecognized arguments: --sensros six; did you mean --sensors? "
+        "(see poser solve --help)"
+    )
+    assert "poser info: unrecognized arguments: b (see" in refusal("info", "a", "b")[1]
+
+
 def test_a_folder_of_which_nothing_comes_does_not_stay(
     folder: Path, tmp_path: Path, refusal: Refusal
 ) -> None:
