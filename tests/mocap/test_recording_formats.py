@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import recording_files as files
 
+from mocap import formats, synthesis, unit_checks
 from mocap import orientation as ori
-from mocap import synthesis, unit_checks
 from mocap.errors import FormatError
 from mocap.formats import (
     Document,
@@ -469,4 +469,4 @@ def test_a_mapping_of_a_sensor_that_is_not_there(
         path = tmp_path / "a.csv"
         path.write_text("t,pelvis.acc_x,pelvis.acc_y,pelvis.acc_z\n0,0,9.81,0\n0.01,0,9.81,0\n")
     with pytest.raises(FormatError, match=r"has no sensor 'foo' to map; it has \w+"):
-        read(path, Options(mapping={"foo": "pelvis"}))
+        formats.read(path, Options(mapping={"foo": "pelvis"}))
