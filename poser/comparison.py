@@ -19,7 +19,7 @@ from mocap.recording import Recording
 from mocap.skeleton import Skeleton
 from poser.console import Progress, part
 from poser.estimators import check_devices, devices_of, network_of, used
-from poser.results import NAMES, NO_SKILL, Compared, Lost, Result
+from poser.results import NO_SKILL, Compared, Lost, Result
 
 if TYPE_CHECKING:
     from sip import Settings
@@ -246,28 +246,6 @@ def worst_frames(compared: Compared, method: str, count: int = 3) -> list[int]:
         if len(found) == count:
             break
     return found
-
-
-def worst(found: list[Compared]) -> list[tuple[str, list[tuple[str, Any, Any]]]]:
-    """Per method the four worst frames over all recordings, by position error."""
-    rows = []
-    for name in dict.fromkeys(n for c in found for n in c.methods if n not in NO_SKILL):
-        cells = []
-        for compared in found:
-            if name not in compared.methods:
-                continue
-            error = compared.methods[name].metrics.frame_position_cm
-            for t in worst_frames(compared, name):
-                assert error is not None
-                motion = compared.methods[name].motion.resampled(compared.truth.rate_hz)
-                t = min(t, len(motion) - 1)
-                at = f"{compared.name} {t / compared.truth.rate_hz:.1f} s\n{error[t]:.1f} cm"
-                joints = (compared.truth.p_world_joint[t], motion.p_world_joint[t])
-                cells.append((float(error[t]), (at, *joints)))
-        cells.sort(key=lambda cell: -cell[0])
-        if cells:
-            rows.append((NAMES.get(name, name), [c for _, c in cells[:4]]))
-    return rows
 
 
 def joint_means(found: list[Compared]) -> dict[str, Any]:

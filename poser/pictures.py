@@ -9,18 +9,22 @@ from typing import Any
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from mocap import orientation as ori
 from mocap.formats._files import write_aside
-from mocap.metrics import Metrics
 from mocap.motion import Motion
 from mocap.orientation import Array
 from mocap.skeleton import JOINTS, PARENTS
 from mocap.solution import Solution
-from poser.results import COLOURS, MIDDLE, NAMES, NO_SKILL, joint_colour
+from poser.player import begin_s
+from poser.results import COLOURS, MIDDLE, NAMES, NO_SKILL, Compared, joint_colour
 
 YAW, TILT = np.deg2rad(-35.0), np.deg2rad(12.0)  # the camera: to the body's left, a little above
 DPI = 110
+PAIR_IN = 2.8  # height of a row of `pairs`, with its caption
+PAIR_GAP_IN = 0.55  # of it, what is between the axes of two rows
+PAIR_FOOT_IN = 0.12  # of the gap, what is between the feet and the rule
 
 
 def save(figure: Figure, path: Path) -> None:
@@ -73,7 +77,8 @@ def pairs(rows: Sequence[tuple[str, Sequence[tuple[str, Array, Array]]]]) -> Fig
     Pelvises are put on each other; rotations are untouched.
     """
     columns = max(len(cells) for _, cells in rows)
-    figure = Figure(figsize=(2.0 * columns + 0.6, 2.35 * len(rows) + 0.3))
+    height = PAIR_IN * len(rows)
+    figure = Figure(figsize=(2.0 * columns + 0.6, height))
     axes = np.asarray(figure.subplots(len(rows), columns, squeeze=False))
     for r, (label, cells) in enumerate(rows):
         for c in range(columns):
@@ -86,12 +91,20 @@ def pairs(rows: Sequence[tuple[str, Sequence[tuple[str, Array, Array]]]]) -> Fig
             _floor(axis)
             _bones(axis, true, ghost=True)
             _bones(axis, p - p[0] + true[0])
-            axis.set_title(title, fontsize=8)
+            axis.set_title(title, fontsize=8, pad=2)
         axes[r, 0].text(
             -0.06, 0.5, label, transform=axes[r, 0].transAxes, rotation=90, ha="center", va="center",
             fontsize=10,
         )  # fmt: skip
-    figure.subplots_adjust(0.05, 0.01, 0.99, 1 - 0.4 / (2.35 * len(rows) + 0.3), 0.02, 0.14)
+        if r:
+            # A caption between two skeletons is the lower one's: the rule keeps it from the upper one.
+            figure.add_artist(
+                Line2D((0.01, 0.99), [1 - r / len(rows)] * 2, color="#dddddd", lw=0.8)
+            )
+    between = PAIR_GAP_IN / (PAIR_IN - PAIR_GAP_IN)
+    figure.subplots_adjust(
+        0.05, PAIR_FOOT_IN / height, 0.99, 1 - (PAIR_GAP_IN - PAIR_FOOT_IN) / height, 0.02, between
+    )
     return figure
 
 
@@ -125,16 +138,17 @@ def _frame(axis: Any) -> None:
     axis.set_axis_off()
 
 
-def errors(metrics: Mapping[str, Metrics]) -> Figure:
-    """Angle of hips and shoulders, and joint distance, frame by frame."""
-    figure = Figure(figsize=(10, 5.2))
+def errors(compared: Compared) -> Figure:
+    """Angle of hips and shoulders, and joint distance, frame by frame, on the recording's clock."""
+    metrics, start = {n: m.metrics for n, m in compared.methods.items()}, begin_s(compared)
+    figure = Figure(figsize=(10.8, 5.2))
     top, bottom = figure.subplots(2, 1, sharex=True)
     for name in sorted(metrics, key=lambda n: n not in NO_SKILL):
         m = metrics[name]
         angle, distance = m.frame_sip_deg, m.frame_position_cm
         if angle is None or distance is None or m.rate_hz is None:
             continue
-        t = np.arange(len(angle)) / m.rate_hz
+        t = start + np.arange(len(angle)) / m.rate_hz
         style = {"color": COLOURS.get(name), "lw": 1.0 if name in NO_SKILL else 1.6}
         label = NAMES.get(name, name)
         top.plot(t, angle, label=f"{label} ({m.sip_deg:.1f} deg)", **style)
@@ -147,7 +161,8 @@ def errors(metrics: Mapping[str, Metrics]) -> Figure:
         axis.margins(x=0)
         axis.grid(alpha=0.3)
         axis.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.005, 1.0), frameon=False)
-    figure.subplots_adjust(0.065, 0.095, 0.81, 0.98, hspace=0.09)
+    # Room on the right for the longest name with its mean.
+    figure.subplots_adjust(0.068, 0.095, 0.76, 0.98, hspace=0.09)
     return figure
 
 
@@ -167,8 +182,12 @@ def joints(known: Mapping[str, Array]) -> Figure:
     axis.margins(x=0.01)
     axis.grid(alpha=0.3, axis="y")
     axis.set_axisbelow(True)
-    axis.legend(fontsize=8, loc="upper right", ncols=4, frameon=False)
-    figure.subplots_adjust(0.065, 0.27, 0.99, 0.97)
+    # Above the axes: within them no place is free of bars for every recording.
+    axis.legend(
+        fontsize=8, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=max(1, len(known)),
+        frameon=False, borderaxespad=0.2, columnspacing=1.5,
+    )  # fmt: skip
+    figure.subplots_adjust(0.065, 0.27, 0.99, 0.92)
     return figure
 
 

@@ -19,6 +19,15 @@ BUDGET_BYTES = (
 )
 
 
+def begin_s(compared: Compared) -> float:
+    """Time of the first frame on the recording's clock, s.
+
+    The methods' motions have it; a reference from another file may not state it.
+    """
+    first = next(iter(compared.methods.values()), None)
+    return compared.truth.start_s if first is None else first.motion.start_s
+
+
 def section(recordings: Sequence[Compared]) -> str:
     """The player's HTML: as many of the recordings as `BUDGET_BYTES` holds, the first ones."""
     shown: list[dict[str, Any]] = []
@@ -67,7 +76,8 @@ def _entry(compared: Compared) -> tuple[dict[str, Any], int]:
             track["error_cm"] = [round(float(e), 1) for e in error[at]]
         tracks.append(track)
     size = sum(len(t["data"]) for t in tracks)
-    return {"name": compared.name, "rate": rate, "tracks": tracks}, size
+    start = round(begin_s(compared), 6)
+    return {"name": compared.name, "rate": rate, "start": start, "tracks": tracks}, size
 
 
 def _positions(motion: Motion, rate_hz: float, reference: Motion) -> dict[str, Any]:
@@ -86,10 +96,12 @@ _CONTROLS = """<div id="player">
 <button id="pl-play" type="button">Play</button>
 <label>Speed <select id="pl-speed"><option>0.25</option><option>0.5</option><option selected>1</option>
 <option>2</option></select></label>
-<input id="pl-time" type="range" min="0" value="0" aria-label="time" style="width:22em;vertical-align:middle">
-<output id="pl-clock"></output></p>
+<input id="pl-time" type="range" min="0" value="0" aria-label="time"
+style="width:22em;max-width:100%;vertical-align:middle">
+<output id="pl-clock" style="white-space:nowrap"></output></p>
 <canvas id="pl-bodies" style="width:100%;touch-action:none;cursor:grab"></canvas>
 <canvas id="pl-errors" style="width:100%;height:170px;cursor:pointer"></canvas>
+<p id="pl-legend" style="margin:0 0 .5em 34px;font-size:.85em"></p>
 <p class="quiet">Drag to look around. Blue: left, orange: right, light grey behind: the reference,
 pelvis on pelvis. Below: distance of the joints to the reference, roots aligned, cm; click to go there.</p>
 </div>
@@ -115,7 +127,19 @@ function load(i) {
   rec = data.recordings[i];
   rec.tracks.forEach(t => { if (!t.p) t.p = decode(t.data); });
   slider.max = rec.tracks[0].frames - 1;
-  frame = clock = 0; layout(); draw();
+  frame = clock = 0; legend(); layout(); draw();
+}
+// The chart's methods by their colours.
+function legend() {
+  el("legend").replaceChildren(...rec.tracks.filter(t => t.error_cm).flatMap(t => {
+    const item = document.createElement("span"), swatch = document.createElement("span");
+    item.style.cssText = "white-space:nowrap;margin-right:1.4em;color:" + t.colour;
+    swatch.style.cssText = "display:inline-block;width:1.6em;vertical-align:middle;margin-right:.4em;" +
+      "border-top:3px solid " + t.colour;
+    item.append(swatch, t.name);
+    // The space between two items is where a line may break.
+    return [item, " "];
+  }));
 }
 function layout() {
   const ratio = window.devicePixelRatio || 1, width = bodies.clientWidth;
@@ -168,8 +192,9 @@ function draw() {
   });
   chart();
   slider.value = frame;
-  el("clock").textContent = (frame / rec.rate).toFixed(2) + " s of " +
-    ((rec.tracks[0].frames - 1) / rec.rate).toFixed(2) + " s";
+  const time = k => (rec.start + k / rec.rate).toFixed(2);
+  el("clock").textContent = time(frame) + " s of " + (rec.start ? time(0) + " to " : "") +
+    time(rec.tracks[0].frames - 1) + " s";
 }
 function chart() {
   const g = errors.getContext("2d"), w = errors.width, h = errors.height, n = rec.tracks[0].frames;
@@ -186,7 +211,9 @@ function chart() {
   }
   g.textAlign = "center";
   const seconds = (n - 1) / rec.rate, every = seconds > 40 ? 10 : seconds > 12 ? 5 : 1;
-  for (let s = every; s < seconds; s += every) g.fillText(s + " s", x(s * rec.rate), h - 2 * r);
+  // Whole seconds of the recording's clock; none right at the left edge, where "0 cm" stands.
+  for (let s = every * Math.ceil((rec.start + 0.04 * seconds) / every); s < rec.start + seconds; s += every)
+    g.fillText(s + " s", x((s - rec.start) * rec.rate), h - 2 * r);
   rec.tracks.forEach(t => {
     if (!t.error_cm) return;
     g.strokeStyle = t.colour; g.lineWidth = 1.3 * r; g.beginPath();

@@ -21,7 +21,14 @@ table { border-collapse: collapse; } th, td { padding: .25em .8em; text-align: r
 th { border-bottom: 1px solid #888; font-weight: 600; } tr:nth-child(even) td { background: #f6f6f6; }
 th:first-child, td:first-child { text-align: left; }
 .quiet { color: #666; font-size: .9em; } details { margin: .6em 0; } summary { cursor: pointer; }
-.wide { overflow-x: auto; }
+/* A wide table scrolls in its own box, the methods' names stay; a shadow tells that there is more. */
+.wide { overflow-x: auto; max-width: 100%; background:
+  linear-gradient(to right, white 30%, transparent) left / 3em 100% no-repeat local,
+  linear-gradient(to left, white 30%, transparent) right / 3em 100% no-repeat local,
+  linear-gradient(to left, #0003, transparent) right / .9em 100% no-repeat scroll; }
+.wide th:first-child, .wide td:first-child { position: sticky; left: 0; background: white;
+  white-space: nowrap; }
+.wide tr:nth-child(even) td:first-child { background: #f6f6f6; }
 img { max-width: 100%; } figure { margin: 1em 0; } figcaption { color: #555; }
 dt { font-weight: 600; } dd { margin: 0 0 .5em 1.5em; }
 """
@@ -44,10 +51,12 @@ def page(
     said = "\n".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in facts.items())
     return f"""<!DOCTYPE html>
 <html lang="en">
-<head><meta charset="utf-8"><title>{escape(title)}</title><style>{_STYLE}</style></head>
+<head><meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{escape(title)}</title><style>{_STYLE}</style></head>
 <body>
 <h1>{escape(title)}</h1>
-<div class="wide">{_table(mean)}</div>
+<div class="wide" tabindex="0">{_table(mean)}</div>
 <p class="quiet">Means over recordings of each recording's mean. Angles are geodesic; <em>SIP</em>: hips and
 shoulders; <em>angular</em>: 24 joints, root, wrists, hands, ankles and feet masked; <em>position</em>: roots
 aligned, masked; <em>global</em>: 24 joints, nothing masked; <em>instr.</em>: bones that carry a sensor that
@@ -86,7 +95,7 @@ def _each(recordings: Sequence[Compared]) -> str:
         one = {name: m.to_json() for name, m in r.methods.items()}
         parts.append(
             f"<details><summary>{escape(r.name)} (reference: {escape(r.reference)})</summary>"
-            f'<div class="wide">{_table(one)}</div></details>'
+            f'<div class="wide" tabindex="0">{_table(one)}</div></details>'
         )
     return "<h2>Each recording</h2>\n" + "\n".join(parts)
 

@@ -7,10 +7,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from poser import files
+from poser.results import NAMES, NO_SKILL
 
 if TYPE_CHECKING:
+    from mocap.orientation import Array
     from mocap.recording import Recording
     from poser.results import Compared, Lost
+
+WORST = 4  # frames shown of a method, over all recordings
+PEAKS = 3  # of one recording, at most
+CANDIDATES = 12  # among so many of its worst frames
 
 
 def write_report(
@@ -26,23 +32,62 @@ def write_report(
 
     failures, found = results.failures(found), results.measured(found)
     shown = list(extra)
-    worst = comparison.worst(found)
+    worst = worst_rows(found)
     if worst:
         pictures.save(pictures.pairs(worst), folder / "worst.png")
-        caption = "The worst frames of each method: its skeleton, and the reference in grey."
+        caption = (
+            "The worst frames of each method, its skeleton and the reference in grey: peaks of its error, "
+            "at least 1 s apart."
+        )
         shown.append((folder / "worst.png", caption))
     bars = comparison.joint_means(found)
     if bars:
         pictures.save(pictures.joints(bars), folder / "joints.png")
         shown.append((folder / "joints.png", "Mean global angle of each joint, nothing masked."))
     if len(found) == 1:
-        curves = {n: m.metrics for n, m in found[0].methods.items()}
-        pictures.save(pictures.errors(curves), folder / "errors.png")
+        pictures.save(pictures.errors(found[0]), folder / "errors.png")
         shown.append((folder / "errors.png", "Error over time; in brackets the mean."))
     facts = facts | {"Computed with": report.environment()}
     files.write_text(
         folder / "report.html", report.page(title, found, mean, shown, facts, failures)
     )
+
+
+def worst_rows(found: Sequence[Compared]) -> list[tuple[str, list[tuple[str, Array, Array]]]]:
+    """Per method the four worst peaks over all recordings, by position error: rows of `pictures.pairs`."""
+    rows = []
+    for name in dict.fromkeys(n for c in found for n in c.methods if n not in NO_SKILL):
+        cells = [cell for c in found if name in c.methods for cell in _worst_cells(c, name)]
+        cells.sort(key=lambda cell: -cell[0])
+        if cells:
+            rows.append((NAMES.get(name, name), [c for _, c in cells[:WORST]]))
+    return rows
+
+
+def _worst_cells(compared: Compared, name: str) -> list[tuple[float, tuple[str, Array, Array]]]:
+    """The error, cm, and the cell of each worst frame of a method that is a peak.
+
+    A frame on the slope of a worse one shows the same pose again, however far apart they are.
+    """
+    from poser import comparison, player
+
+    result, truth = compared.methods[name], compared.truth
+    error = result.metrics.frame_position_cm
+    if error is None:
+        return []
+    rate = truth.rate_hz
+    around = max(1, round(rate / 2))
+    motion = result.motion.resampled(rate)
+    cells: list[tuple[float, tuple[str, Array, Array]]] = []
+    for t in comparison.worst_frames(compared, name, CANDIDATES):
+        if error[t] < error[max(0, t - around) : t + around + 1].max():
+            continue
+        k = min(t, len(motion) - 1)
+        title = f"{compared.name} {player.begin_s(compared) + t / rate:.1f} s\n{error[t]:.1f} cm"
+        cells.append((float(error[t]), (title, truth.p_world_joint[k], motion.p_world_joint[k])))
+        if len(cells) == PEAKS:
+            break
+    return cells
 
 
 def noise_words(recording: Recording) -> str:

@@ -54,3 +54,5 @@ def test_page_renders(page: Path, tmp_path: Path) -> None:
     ).stdout  # fmt: skip
     for word in ("SOP", "SIP", "mean pose", "position"):
         assert word in dom
+    legend = re.search(r'<p id="pl-legend".*?</p>', dom, flags=re.DOTALL)
+    assert legend is not None and "SOP" in legend[0] and "hybrid (DIP)" in legend[0]
