@@ -20,7 +20,8 @@ from mocap import facing as face
 from mocap.findings import Finding
 from mocap.orientation import Array
 from mocap.recording import Bool, RawRecording
-from mocap.static_pose import Pose, Window, still_runs
+from mocap.static_pose import Pose, Window
+from mocap.stillness import still_runs
 
 PAIRS = ("upper_arm", "forearm", "wrist")
 BODY = ("pelvis", "sternum", "lower_back", "upper_back", "left_thigh", "right_thigh", "left_pocket",

@@ -18,7 +18,8 @@ from mocap.findings import Finding
 from mocap.limb_levels import activity
 from mocap.orientation import Array
 from mocap.recording import RawRecording
-from mocap.static_pose import Pose, Window, still_runs, tilt_from_pose
+from mocap.static_pose import Pose, Window, tilt_from_pose
+from mocap.stillness import still_runs
 
 SLIPPED_DEG, REST_DEG = 12.0, 6.0  # tilt of one sensor since the pose; of the others meanwhile
 REST_FRAMES = 5  # of a still stance: the mean of fewer wobbles

@@ -40,16 +40,16 @@ def diagnose(raw: RawRecording, calibration: Calibration | None = None) -> list[
     Without a calibration: units, axes, gaps, exchanged sides and lags, which need no pose. With one:
     also movement in the pose, slipped sensors, leaning, sides of the arms, certainty of the heading.
     """
-    raw, spikes = without_spikes(raw)
+    if calibration is not None:
+        raw = raw.select(calibration.sensors)
+    raw, found = without_spikes(raw)
+    found += check_before(raw)
     if calibration is None:
-        found = spikes + check_before(raw)
         if not any(f.severity == "error" for f in found):
             joints, _ = places.joints_and_seats(raw.sensors)
             R = raw.R_world_sensor if raw.common_heading else None
             found += limb_levels.check_swapped(raw, joints, R)
         return ordered(found)
-    raw = raw.select(calibration.sensors)
-    found = [f for f in spikes if f.sensor in raw.sensors] + check_before(raw)
     if not any(f.severity == "error" for f in found):
         fused = raw
         if calibration.orientation == "vqf" or raw.R_world_sensor is None:

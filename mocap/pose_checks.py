@@ -23,7 +23,8 @@ from mocap import orientation as ori
 from mocap.findings import Finding, Severity
 from mocap.orientation import Array
 from mocap.recording import Bool, RawRecording, gaps
-from mocap.static_pose import NEVER_STILL, Pose, Window, still_runs
+from mocap.static_pose import NEVER_STILL, Pose, Window
+from mocap.stillness import SMOOTH_S, still_runs
 
 MOVED_DEG = 5.0
 WOBBLE_S = 0.3  # correlation time of soft tissue that wobbles
@@ -36,7 +37,7 @@ UNSEEN_S = 3.0  # the filter corrects a tilt that a gap left within this time (V
 
 LEGS = ("thigh", "pocket", "shank", "foot")
 IN_USE = 1.0  # rad/s: mean rate of the leg sensors, smoothed, from which the legs are in use
-SMOOTH_S, IN_USE_S = 0.4, 5.0
+IN_USE_S = 5.0  # of such frames at least
 SEAT_DEG = 40.0  # tilt of both thighs since the pose: more than most people's mean in a motion
 TOGETHER = 0.1  # up of the shank along that of the thigh, horizontally; right people: -0.04 at most
 SEAT_PELVIS_DEG, STANCE_PELVIS_DEG = 18.0, 10.0  # tilt of a pelvis that sits; of one that stands

@@ -64,7 +64,7 @@ def find(
     """
     told, doubts = _second_pose(raw, static, bones, second) if second else ([], [])
     cues = _cues(raw, static, window, facing, axes, told, arms_hang)
-    phi, sigma, method, said = _headings(raw, static, cues)
+    phi, sigma, method, said = _headings(raw, cues)
     if told and "second pose" not in method:
         text = f"the second pose is not used: {method} says otherwise of where the wearer faced"
         said.append(Finding("warning", None, "second-pose-disagrees", text))
@@ -137,11 +137,7 @@ def _tilt_deg(R_first: Array, R_second: Array) -> Array:
     return np.asarray(np.degrees(np.arccos(np.clip(cos, -1, 1))))
 
 
-def _headings(
-    raw: RawRecording,
-    static: Pose,
-    cues: list[face.Cue],
-) -> tuple[Array, Array, str, list[Finding]]:
+def _headings(raw: RawRecording, cues: list[face.Cue]) -> tuple[Array, Array, str, list[Finding]]:
     """Facing phi (S,) rad in each sensor's world, its sigma (S,), the method in words, findings."""
     S = len(raw.sensors)
     if not cues:

@@ -17,7 +17,6 @@ from mocap.motion import Motion
 from mocap.orientation import Array
 from mocap.skeleton import JOINTS, PARENTS
 from mocap.solution import Solution
-from poser.player import begin_s
 from poser.results import COLOURS, MIDDLE, NAMES, NO_SKILL, Compared, joint_colour
 
 YAW, TILT = np.deg2rad(-35.0), np.deg2rad(12.0)  # the camera: to the body's left, a little above
@@ -140,7 +139,7 @@ def _frame(axis: Any) -> None:
 
 def errors(compared: Compared) -> Figure:
     """Angle of hips and shoulders, and joint distance, frame by frame, on the recording's clock."""
-    metrics, start = {n: m.metrics for n, m in compared.methods.items()}, begin_s(compared)
+    metrics, start = {n: m.metrics for n, m in compared.methods.items()}, compared.start_s
     figure = Figure(figsize=(10.8, 5.2))
     top, bottom = figure.subplots(2, 1, sharex=True)
     for name in sorted(metrics, key=lambda n: n not in NO_SKILL):

@@ -19,15 +19,6 @@ BUDGET_BYTES = (
 )
 
 
-def begin_s(compared: Compared) -> float:
-    """Time of the first frame on the recording's clock, s.
-
-    The methods' motions have it; a reference from another file may not state it.
-    """
-    first = next(iter(compared.methods.values()), None)
-    return compared.truth.start_s if first is None else first.motion.start_s
-
-
 def section(recordings: Sequence[Compared]) -> str:
     """The player's HTML: as many of the recordings as `BUDGET_BYTES` holds, the first ones."""
     shown: list[dict[str, Any]] = []
@@ -76,7 +67,7 @@ def _entry(compared: Compared) -> tuple[dict[str, Any], int]:
             track["error_cm"] = [round(float(e), 1) for e in error[at]]
         tracks.append(track)
     size = sum(len(t["data"]) for t in tracks)
-    start = round(begin_s(compared), 6)
+    start = round(compared.start_s, 6)
     return {"name": compared.name, "rate": rate, "start": start, "tracks": tracks}, size
 
 

@@ -69,7 +69,7 @@ def _worst_cells(compared: Compared, name: str) -> list[tuple[float, tuple[str, 
 
     A frame on the slope of a worse one shows the same pose again, however far apart they are.
     """
-    from poser import comparison, player
+    from poser import comparison
 
     result, truth = compared.methods[name], compared.truth
     error = result.metrics.frame_position_cm
@@ -83,7 +83,7 @@ def _worst_cells(compared: Compared, name: str) -> list[tuple[float, tuple[str, 
         if error[t] < error[max(0, t - around) : t + around + 1].max():
             continue
         k = min(t, len(motion) - 1)
-        title = f"{compared.name} {player.begin_s(compared) + t / rate:.1f} s\n{error[t]:.1f} cm"
+        title = f"{compared.name} {compared.start_s + t / rate:.1f} s\n{error[t]:.1f} cm"
         cells.append((float(error[t]), (title, truth.p_world_joint[k], motion.p_world_joint[k])))
         if len(cells) == PEAKS:
             break

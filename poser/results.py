@@ -56,6 +56,15 @@ class Compared:
     truth: Motion
     failed: Mapping[str, str] = field(default_factory=dict)
 
+    @property
+    def start_s(self) -> float:
+        """Time of the first frame on the recording's clock, s.
+
+        The methods' motions have it; a reference from another file may not state it.
+        """
+        first = next(iter(self.methods.values()), None)
+        return self.truth.start_s if first is None else first.motion.start_s
+
     def to_json(self) -> dict[str, Any]:
         methods = {name: m.to_json() for name, m in self.methods.items()}
         return {

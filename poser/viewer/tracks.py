@@ -53,8 +53,7 @@ class Track:
 def read(path: Path, options: Options | None = None) -> Track:
     """The track of a motion or a calibrated recording. Raises FormatError for a raw recording."""
     content = files.read(path, options).content
-    stated = path.suffix == ".npz" and native.states_start(path)
-    start_s = content.start_s if stated else None
+    start_s = content.start_s if native.states_start(path) else None
     if isinstance(content, Motion):
         return Track(path.name, content, start_s=start_s)
     if not isinstance(content, Recording):

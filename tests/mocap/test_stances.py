@@ -12,7 +12,8 @@ from mocap import sensors as places
 from mocap.calibration import PoseName, calibrate
 from mocap.motion import Motion
 from mocap.recording import RawRecording
-from mocap.static_pose import find_static, still_runs
+from mocap.static_pose import find_static
+from mocap.stillness import still_runs
 from mocap.synthesis import NOISES, prepare, raw_recording
 from poser import motions
 from poser.motions import builtin, walk
