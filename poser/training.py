@@ -36,6 +36,14 @@ def share(text: str) -> float:
     return value
 
 
+def part_of_run(text: str) -> float:
+    """A share of a run's end: 0 or more, under 1."""
+    value = options.number(text)
+    if not 0 <= value < 1:
+        raise ArgumentTypeError(f"{text!r} is not 0 or more and under 1")
+    return value
+
+
 def add_run(parser: ArgumentParser) -> None:
     """Options of any run: how long, how fast, where, what to leave behind."""
     run = parser.add_argument_group("the run")
@@ -49,6 +57,10 @@ def add_run(parser: ArgumentParser) -> None:
     run.add_argument(
         "--rate", dest="speed", type=options.positive, metavar="X", help="learning rate"
     )
+    run.add_argument(
+        "--cooldown", type=part_of_run, metavar="X",
+        help="the last share of the run over which the rate falls to zero (default: 0)",
+    )  # fmt: skip
     run.add_argument("--every", type=count, metavar="N", help="steps between validations")
     run.add_argument("--seed", type=options.seed, default=0, metavar="N", help="default: 0")
     run.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="default: cpu")
@@ -77,7 +89,7 @@ def changes(args: Namespace) -> dict[str, Any]:
     """
     names = {
         "steps": "steps", "minutes": "minutes", "batch": "batch", "frames": "frames",
-        "speed": "learning_rate", "every": "every", "seed": "seed",
+        "speed": "learning_rate", "cooldown": "cooldown", "every": "every", "seed": "seed",
     }  # fmt: skip
     stated = {field: getattr(args, option) for option, field in names.items()}
     found = {field: value for field, value in stated.items() if value is not None}

@@ -1,8 +1,9 @@
 """Train DIP or IMUPoser on motion capture: virtual sensors are put on the motions as it goes.
 
 MOTION are files of any motion format, or folders that are searched in all their depth (AMASS as it is
-unpacked); without any, the project's own training clips from the cache folder. FOLDER holds the run: it
-can be interrupted, and the same command goes on. Several GPUs or processes: torchrun -m poser train ...
+unpacked); without any, the project's own training clips from the cache folder (--collections). FOLDER
+holds the run: it can be interrupted, and the same command goes on. Several GPUs or processes: torchrun -m
+poser train ...
 """
 
 from __future__ import annotations
@@ -24,7 +25,12 @@ if TYPE_CHECKING:
     from poser.console import Progress
 
 HELP = "train a network on motion capture"
-CMU_SHARE = 0.65  # of the windows come from CMU, the rest from the larger, repetitive Bandai set
+# Of the windows where several collections are asked for: Bandai's is larger and repetitive.
+SHARES = {"cmu": 0.65, "bandai": 0.35}
+SOURCES = {
+    "cmu": "CMU Graphics Lab mocap (mocap.cs.cmu.edu)",
+    "bandai": "Bandai-Namco-Research-Motiondataset-2 (CC BY-NC 4.0)",
+}
 BANDAI_STEP = 12  # every so many of Bandai's validation clips: they are much alike
 
 
@@ -35,6 +41,11 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--validation", type=Path, nargs="+", default=[], metavar="MOTION",
         help="motions to validate on (default: every tenth of MOTION by name)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--collections", nargs="+", choices=tuple(SHARES),
+        help="without MOTION: which of the project's collections to train on (default: cmu; weights "
+        "trained on bandai are for non-commercial use)",
     )  # fmt: skip
     parser.add_argument(
         "--share", type=training.share, default=1.0, metavar="X",
@@ -111,7 +122,9 @@ def _data(args: Namespace, tell: Progress) -> tuple[Corpus, Windowed, dict[str, 
     if not args.motions:
         if args.validation:
             raise UsageError("argument --validation: needs MOTION to train on")
-        return _own_split(args.network, tell)
+        return _own_split(args.network, tuple(dict.fromkeys(args.collections or ("cmu",))), tell)
+    if args.collections:
+        raise UsageError("argument --collections: not with MOTION")
     from learned import corpus, validation
 
     train = training_files.motions(args.motions)
@@ -137,26 +150,27 @@ def _motions(paths: Sequence[Path]) -> Iterator[tuple[str, Motion]]:
         yield path.stem, files.motion(path, quiet=True)
 
 
-def _own_split(network: str, tell: Progress) -> tuple[Corpus, Windowed, dict[str, Any]]:
-    """The project's training and validation clips (`mocap.dataset`)."""
+def _own_split(
+    network: str, collections: Sequence[str], tell: Progress
+) -> tuple[Corpus, Windowed, dict[str, Any]]:
+    """The project's training and validation clips (`mocap.dataset`) of these collections."""
     from learned import corpus, validation
     from mocap import dataset
 
-    parts, keys = [], []
-    for k, collection in enumerate(("cmu", "bandai")):
+    parts, keys, held = [], [], []
+    for k, collection in enumerate(collections):
         paths = dataset.files("train", (collection,))
-        forward = part(tell, 0.45 * k, 0.45 * (k + 1))
+        forward = part(tell, 0.9 * k / len(collections), 0.9 * (k + 1) / len(collections))
         parts.append(
             corpus.read(paths, lambda i, n, f=forward: f(i / n, f"reading {i} of {n} motions"))  # type: ignore[misc]
         )
         keys.append(corpus.key_of(paths))
-    held = dataset.files("validation", ("cmu",))
-    held += dataset.files("validation", ("bandai",))[::BANDAI_STEP]
+        mine = dataset.files("validation", (collection,))
+        held += mine[::BANDAI_STEP] if collection == "bandai" else mine
     windows = validation.cut_for(network, validation.recordings(network, _motions(held)))
-    clips = corpus.Corpus.join(parts, (CMU_SHARE, 1 - CMU_SHARE))
+    clips = corpus.Corpus.join(parts, [SHARES[c] for c in collections])
     about = {
-        "what": "CMU Graphics Lab mocap (mocap.cs.cmu.edu) and Bandai-Namco-Research-Motiondataset-2 "
-        "(CC BY-NC 4.0), training clips of the project's split",
+        "what": " and ".join(SOURCES[c] for c in collections) + ", training clips of the project's split",
         "key": " ".join(keys), "clips": len(clips.names), "minutes": round(clips.seconds / 60, 1),
         "validation_clips": len(held),
     }  # fmt: skip

@@ -20,6 +20,7 @@ from learned import checkpoint, train, validation
 from learned.export import PRECISION_ONLINE
 from mocap import sensors, synthesis
 from mocap.formats.amass import write_motion
+from mocap.formats.bvh import write_motion as write_bvh
 from mocap.formats.native import write_recording
 from poser import commands, motions, training
 from poser.__main__ import main
@@ -124,14 +125,37 @@ def test_options_reach_the_settings(clips: Path, tmp_path: Path, answer: Answer)
     found = answer(
         "train", "dip", clips, "-o", tmp_path / "r", *SMALL, "--steps", "2", "--architecture", "rnn",
         "--normalisation", "heading", "--no-acc", "--no-acc-loss", "--rate", "0.01", "--seed", "3",
-        "--share", "0.5",
+        "--share", "0.5", "--cooldown", "0.25",
     )["settings"]  # fmt: skip
     config = found["config"]
     assert (config["architecture"], config["normalisation"]) == ("rnn", "heading")
+    assert found["cooldown"] == 0.25
     assert (config["use_acc"], config["dropout"], config["hidden"]) == (False, 0.0, 8)
     assert (found["learning_rate"], found["seed"], found["reconstruct_acc"]) == (0.01, 3, False)
     log = training.read_log(tmp_path / "r")
     assert [r["step"] for r in log] == [2]
+
+
+def test_the_projects_own_clips(
+    tmp_path: Path, answer: Answer, refusal: Refusal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without MOTION: CMU alone unless --collections says more, validated on those collections' clips."""
+    monkeypatch.setenv("POSER_CACHE", str(tmp_path / "cache"))
+    words = ["train", "dip", *SMALL, "--steps", "2"]
+    assert "holds no .bvh file" in refusal(*words, "-o", tmp_path / "none")[1]
+    for folder, names in (
+        ("cmu-daz-bvh", ("02_01", "06_01", "07_01", "08_01")),
+        ("bandai2-bvh", ("a", "b", "c")),
+    ):
+        (tmp_path / "cache" / folder).mkdir(parents=True)
+        for name in names:
+            write_bvh(tmp_path / "cache" / folder / f"{name}.bvh", motions.squat(2.0))
+    about = answer(*words, "-o", tmp_path / "cmu")["data"]
+    assert (about["clips"], about["validation_clips"]) == (2, 1)  # 02 tests, 06 validates
+    assert "Bandai" not in about["what"]
+    about = answer(*words, "-o", tmp_path / "both", "--collections", "cmu", "bandai")["data"]
+    assert (about["clips"], about["validation_clips"]) == (4, 2)  # every tenth of Bandai's validates
+    assert "CC BY-NC 4.0" in about["what"]
 
 
 def test_weights_to_start_from(
@@ -170,6 +194,9 @@ def test_a_run_with_other_settings_or_motions_is_left_alone(
         (["dip", "CLIPS", "--frames", "4"], 1, "frames must be 8 or more"),
         (["dip", "CLIPS", "--steps", "0"], 2, "not an integer of one or more"),
         (["dip", "CLIPS", "--share", "1.5"], 2, "not a share"),
+        (["dip", "CLIPS", "--cooldown", "1"], 2, "not 0 or more and under 1"),
+        (["dip", "CLIPS", "--collections", "cmu"], 2, "not with MOTION"),
+        (["dip", "--collections", "kit"], 2, "invalid choice"),
         (["dip", "CLIPS", "--resume"], 1, "holds no run to resume"),
         (["dip", "CLIPS", "--export", "x.pt"], 2, "must end in .safetensors"),
         (["dip", "CLIPS/subject0/deep/clip0.npz"], 1, "one motion cannot both train and validate"),
