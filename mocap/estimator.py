@@ -134,6 +134,7 @@ def replay(
         np.stack([p.R_parent_joint for p in poses]),
         np.stack([p.p_world_root for p in poses]),
         skeleton or Skeleton.default(),
+        recording.start_s,
     )
     std = [p.std_rad for p in poses if p.std_rad is not None]
     return Replay(

@@ -106,7 +106,7 @@ def _posed(
     R = bank[choice]
     R[:, 0] = _root(recording, body.rotations(R))
     p = np.tile(body.offsets[0], (len(recording), 1))
-    return Motion(recording.rate_hz, R, p, body)
+    return Motion(recording.rate_hz, R, p, body, recording.start_s)
 
 
 def _root(recording: Recording, rotations: Array) -> Array:

@@ -201,8 +201,7 @@ def _solve(job: Job, recording: Recording, terms: Any, tell: Progress) -> Any:
     import sip
 
     settings: Settings = sip.Settings(terms=terms, solver=job.solver, **job.settings)  # type: ignore[arg-type]
-    found = sip.solve(recording, job.skeleton, settings, tell)
-    return replace(found, motion=replace(found.motion, start_s=recording.start_s))
+    return sip.solve(recording, job.skeleton, settings, tell)
 
 
 def _result(
@@ -224,8 +223,7 @@ def _no_skill(recording: Recording, seen: tuple[str, ...], reference: Motion) ->
     out = {}
     for name, motion in noskill.both(chosen, prior.mean, prior.poses).items():
         found = metrics.evaluate(motion, reference, recording=recording, seen=seen)
-        timed = replace(motion, start_s=recording.start_s)
-        out[name] = Result(timed, found, {"used_sensors": list(seen)})
+        out[name] = Result(motion, found, {"used_sensors": list(seen)})
     return out
 
 

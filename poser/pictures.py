@@ -199,11 +199,11 @@ def residuals(solution: Solution, sensors: Sequence[str]) -> Figure:
     names = [n for n in ("orientation", "acceleration") if n in solution.residuals]
     figure = Figure(figsize=(10, 2.3 * len(names) + 2.2))
     axes = figure.subplots(len(names) + 1, 1)
-    rate = solution.motion.rate_hz
+    rate, start_s = solution.motion.rate_hz, solution.motion.start_s
     for axis, name in zip(axes, names, strict=False):
         r = np.linalg.norm(solution.residuals[name], axis=-1)
         # Accelerations have no value at the two end frames.
-        t = (np.arange(len(r)) + (len(solution.motion) - len(r)) / 2) / rate
+        t = start_s + (np.arange(len(r)) + (len(solution.motion) - len(r)) / 2) / rate
         for s, sensor in enumerate(sensors):
             axis.plot(t, np.where(r[:, s] > 0, r[:, s], np.nan), lw=1.0, label=sensor)
         axis.set_ylabel(f"{name}, sigmas")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -71,6 +71,5 @@ def track(
         joint=recording.joint, seat=recording.placement,
     )  # fmt: skip
     run = replay(estimator, recording, lambda share: progress(share, method), skeleton)
-    run = replace(run, motion=replace(run.motion, start_s=recording.start_s))
     ahead, names = estimator.look_ahead_frames, estimator.sensors
     return Tracked(run, method, network, ahead, names, RATES[network])

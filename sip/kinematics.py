@@ -106,13 +106,19 @@ def numeric_forward(skeleton: Skeleton) -> ca.Function:
 
 
 def unpack(
-    p_root: Array, R_root: Array, theta: Array, rate_hz: float, skeleton: Skeleton
+    p_root: Array,
+    R_root: Array,
+    theta: Array,
+    rate_hz: float,
+    skeleton: Skeleton,
+    start_s: float = 0.0,
 ) -> Motion:
-    """The motion of root positions (T,3) m, root rotations (T,3,3) and all 69 body angles (T,69) rad."""
+    """The motion of root positions (T,3) m, root rotations (T,3,3) and all 69 body angles (T,69) rad; start_s
+    s is the time of its first frame."""
     R = np.empty((len(theta), 24, 3, 3))
     R[:, 0] = R_root
     R[:, 1:] = ori.exp(theta.reshape(-1, 23, 3))
-    return Motion(rate_hz, R, p_root, skeleton)
+    return Motion(rate_hz, R, p_root, skeleton, start_s)
 
 
 def recentre(x: Array, R_ref: Array) -> tuple[Array, Array]:

@@ -138,7 +138,8 @@ def assemble(
     R_root = R_ref @ ori.exp(x[:, ROOT_W])
     theta = prior.complete(x[:, BODY])
     p_root = x[:, ROOT_P] - x[0, ROOT_P]
-    motion = kin.unpack(p_root, R_root, theta, recording.rate_hz, skeleton)
+    rate, start_s = recording.rate_hz, recording.start_s
+    motion = kin.unpack(p_root, R_root, theta, rate, skeleton, start_s)
     cost: dict[str, float] = {}
     for part in parts:
         for name, value in part.costs.items():

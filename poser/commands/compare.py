@@ -239,6 +239,13 @@ def _facts(args: Namespace, jobs: list[Job], found: Sequence[Compared | Lost]) -
         ),
         "Sensors": ", ".join(first.sensors or comparison.six_of(first.recording)),
     }
+    if args.begin is not None or args.end is not None:
+        ends = sorted(
+            {(j.recording.start_s, j.recording.start_s + j.recording.seconds) for j in jobs}
+        )
+        facts["Part"] = ", ".join(f"{a:.2f} to {b:.2f} s" for a, b in ends[:6]) + (
+            ", ..." if len(ends) > 6 else ""
+        )
     devices = _devices(jobs, found)
     if devices:
         facts["IMUPoser's devices"] = "; ".join(devices)

@@ -116,8 +116,7 @@ def _solve(
     )
     with progress(f"solving {args.recording.name}") as tell, files.about(args.recording):
         solution = sip.cheapest(recording, begin, body, settings, tell)
-    motion = replace(on_the_floor(solution.motion), start_s=recording.start_s)
-    return replace(solution, motion=motion)
+    return replace(solution, motion=on_the_floor(solution.motion))
 
 
 def _body(args: Namespace) -> Skeleton:

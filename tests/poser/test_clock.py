@@ -190,6 +190,7 @@ def test_a_start_and_a_reference_are_taken_at_their_time(
     record = json.loads((tmp_path / "c" / "results.json").read_text())
     assert record["recordings"][0]["methods"]["sop"]["frames"] == 20
     truth = files.motion(tmp_path / "c" / "reference.npz")
+    assert "40.80 to 41.20 s" in (tmp_path / "c" / "report.html").read_text()
     expected: Motion = files.motion(place / "mid.npz").slice(5, 25)
     assert truth.start_s == pytest.approx(expected.start_s)
     np.testing.assert_allclose(truth.R_parent_joint, expected.R_parent_joint, atol=1e-9)

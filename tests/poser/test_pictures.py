@@ -12,7 +12,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.transforms import BboxBase
 
-from mocap import metrics
+import sip
+from mocap import metrics, synthesis
 from mocap import orientation as ori
 from mocap.motion import Motion
 from poser import motions, pictures, player, report, reporting, results
@@ -128,3 +129,13 @@ def test_wide_tables_scroll_in_their_own_box(every: results.Compared) -> None:
     assert re.search(r"\.wide \{ overflow-x: auto", text)
     assert re.search(r'<div class="wide"[^>]*><table>', text)
     assert '<meta name="viewport"' in text
+
+
+def test_residuals_are_drawn_at_the_recordings_time() -> None:
+    whole = synthesis.recording(motions.squat(1.0), ("pelvis", "head"))
+    part = replace(whole, start_s=START_S)
+    solution = sip.solve(part, settings=sip.Settings(solver="banded"))
+    first, *_ = pictures.residuals(solution, part.sensors).axes
+    begin, end = first.get_xlim()
+    # Up to a frame: the first and the last may hold no value.
+    assert (begin, end) == pytest.approx((START_S, START_S + 1.0), abs=0.035)

@@ -154,7 +154,8 @@ def test_the_projects_own_clips(
     assert (about["clips"], about["validation_clips"]) == (2, 1)  # 02 tests, 06 validates
     assert "Bandai" not in about["what"]
     about = answer(*words, "-o", tmp_path / "both", "--collections", "cmu", "bandai")["data"]
-    assert (about["clips"], about["validation_clips"]) == (4, 2)  # every tenth of Bandai's validates
+    # Every tenth of Bandai's validates.
+    assert (about["clips"], about["validation_clips"]) == (4, 2)
     assert "CC BY-NC 4.0" in about["what"]
 
 
