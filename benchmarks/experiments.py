@@ -10,7 +10,8 @@ Trained: dip-tables (Tables 2, 3: RNN and BiRNN with and without acceleration lo
 online), dip-networks (Tables 4, 5: feed-forward, WaveNet, no accelerations), normalisations (appendix C),
 share (25, 50, 100 % of the clips), hidden (64, 128, 256), augmentation (on, off), noise-gap (clean and noisy
 training against clean and noisy test), licence (with and without Bandai's clips), imuposer-limits (clips,
-units, augmentation, Bandai), one-clip (learnt by heart). Of given weights (--weights): dip-window (Fig. 6),
+units, augmentation, noise, Bandai), one-clip (learnt by heart), hybrid-share (the hybrid
+around the networks of share). Of given weights (--weights): dip-window (Fig. 6),
 dip-histogram (Fig. 5), imuposer-devices (Fig. 6), imuposer-regions (Fig. 8).
 """
 
@@ -31,16 +32,17 @@ import numpy as np
 import torch
 from common import row
 
-from learned import checkpoint, corpus
+from learned import checkpoint, corpus, online
 from learned.augmentation import Augmentation
 from learned.features import COMBINATIONS
 from learned.models import Model, for_network
 from learned.settings import TrainSettings
 from learned.train import Trainer
-from learned.validation import cut_for
+from learned.validation import calibrate_deviations, cut_for
 from learned.virtual import Windows
-from mocap import Motion, dataset
+from mocap import Motion, dataset, sensors
 from mocap.errors import PoserError
+from mocap.estimator import replay
 from mocap.synthesis import Noise
 
 SHARES = {"cmu": 0.65, "bandai": 0.35}  # of the training windows
@@ -93,6 +95,11 @@ def _tables() -> list[Variant]:
     return out
 
 
+def _imuposer(name: str, corpora: tuple[str, ...] = ("cmu",), **changes: Any) -> Variant:
+    """CMU's clips alone where nothing else is said: what the shipped weights are trained on."""
+    return variant(name, corpora=corpora, network="imuposer", frames=125, **changes)
+
+
 UNVARIED = replace(Augmentation.none(), noise=Noise(), noise_scale=(0.3, 1.5))
 TRAINED: dict[str, list[Variant]] = {
     "dip-tables": _tables(),
@@ -114,11 +121,14 @@ TRAINED: dict[str, list[Variant]] = {
         variant("CMU alone", corpora=("cmu",)),
     ],
     "imuposer-limits": [
-        variant("all", network="imuposer", frames=125),
-        variant("25 % of the clips", 0.25, network="imuposer", frames=125),
-        variant("half the units", network="imuposer", frames=125, hidden=128),
-        variant("not augmented", network="imuposer", frames=125, augmentation=UNVARIED),
-        variant("CMU alone", corpora=("cmu",), network="imuposer", frames=125),
+        _imuposer("CMU alone"),
+        _imuposer("limbs not spliced", augmentation=replace(Augmentation(), splice=0.0)),
+        _imuposer("not augmented", augmentation=UNVARIED),
+        _imuposer("with Bandai's clips", corpora=tuple(SHARES)),
+        _imuposer("25 % of the clips", share=0.25),
+        _imuposer("half the units", hidden=128),
+        _imuposer("trained clean", augmentation=replace(
+            Augmentation(), noise=CLEAN, noise_scale=(0, 0), seat_m=0.0)),
     ],
     "noise-gap": [
         variant("trained noisy"),
@@ -178,6 +188,23 @@ def rows_of_trained(name: str, args: argparse.Namespace) -> Iterable[dict[str, A
             for way, window in ways.items():
                 found = on_split.measured(on_split.dip_motions(model, tests, window), tests)
                 yield {"variant": v.name, "shown": way, "test noise": noise_name} | found
+
+
+def rows_of_hybrid_share(args: argparse.Namespace) -> Iterable[dict[str, Any]]:
+    """DIP and the hybrid around it, trained on 25, 50 and 100 % of the clips: the networks of `share`, their
+    deviations fitted on the validation clips.
+    """
+    import hybrid
+
+    tests = on_split.recorded("test", "dip", Noise())
+    held = cut_for("dip", on_split.recorded("validation", "dip", Noise()), args.windows)
+    for v in TRAINED["share"]:
+        model = trained(v, args)
+        calibrate_deviations(model, held)
+        dip = online.dip(model, 60.0, (20, 5), sensors.SIX)
+        for method, estimator in {"dip": dip, "hybrid": hybrid.Tracker(dip)}.items():
+            motions = [replay(estimator, r).motion for r in tests]
+            yield {"variant": v.name, "method": method} | on_split.measured(motions, tests)
 
 
 def rows_of_one_clip(args: argparse.Namespace) -> Iterable[dict[str, Any]]:
@@ -267,6 +294,10 @@ def rows_of_regions(model: Model) -> Iterable[dict[str, Any]]:
                "combinations": len(values)}  # fmt: skip
 
 
+OTHERS: dict[str, Callable[[argparse.Namespace], Iterable[dict[str, Any]]]] = {
+    "one-clip": rows_of_one_clip,
+    "hybrid-share": rows_of_hybrid_share,
+}
 OF_WEIGHTS: dict[str, tuple[str, Callable[[Model], Iterable[dict[str, Any]]]]] = {
     "dip-window": ("dip", rows_of_window),
     "dip-histogram": ("dip", rows_of_histogram),
@@ -295,7 +326,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     parser.add_argument(
-        "names", nargs="+", metavar="NAME", choices=[*TRAINED, *OF_WEIGHTS, "one-clip"],
+        "names", nargs="+", metavar="NAME", choices=[*TRAINED, *OTHERS, *OF_WEIGHTS],
         help="one or more of the above",
     )  # fmt: skip
     parser.add_argument("--steps", type=int, default=20_000, help="of training, each network")
@@ -319,8 +350,8 @@ def main() -> None:
 def rows_of(name: str, args: argparse.Namespace) -> Iterable[dict[str, Any]]:
     if name in TRAINED:
         return rows_of_trained(name, args)
-    if name == "one-clip":
-        return rows_of_one_clip(args)
+    if name in OTHERS:
+        return OTHERS[name](args)
     network, rows = OF_WEIGHTS[name]
     return rows(weights_for(network, args))
 
