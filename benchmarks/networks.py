@@ -35,7 +35,7 @@ from mocap import Motion, Recording, dataset, metrics, orientation, sensors, syn
 from mocap.estimator import Pose, replay, samples
 from mocap.skeleton import Skeleton
 from poser import motions
-from poser.estimators import devices_of
+from poser.estimators import TRACKER, devices_of
 
 WIDTHS = (34, 9, 9, 9, 9, 11, 10)
 
@@ -174,7 +174,8 @@ def refinement(frames: int) -> None:
     made = synthesis.recording(truth, worn, synthesis.Noise(), 0)
     joint, seat = sensors.joints_and_seats(worn)
     joints = tuple(int(j) for j in joint)
-    qp = Refinement(Skeleton.default(), joint, seat, TrackerSettings())
+    settings = TrackerSettings(**TRACKER["imuposer"])
+    qp = Refinement(Skeleton.default(), joint, seat, settings)
     rng = np.random.default_rng(0)
     error = orientation.exp(np.deg2rad(12.0) * rng.normal(size=(24, 3)))
     spread = rng.normal(size=(72, 72)) * 0.02

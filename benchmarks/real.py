@@ -23,7 +23,8 @@ from sip.prior import shipped
 
 WINDOWS = ((46, 56), (90, 100), (110, 120))
 ONLINE = (
-    ("dip", "dip"), ("hybrid-dip", "dip"), ("imuposer", "imuposer"), ("hybrid-imuposer", "imuposer"),
+    ("dip", "dip"), ("hybrid-dip", "dip"), ("imuposer", "imuposer"), ("imuposer-adam", "imuposer"),
+    ("hybrid-imuposer", "imuposer"),
 )  # fmt: skip
 DEVICES = ("left_forearm", "right_thigh", "head")  # as a watch, a phone in a pocket, earphones
 NAMES = ("left_out_deg", "sip_deg", "angular_deg", "position_cm", "jitter", "jitter_reference")
@@ -68,7 +69,8 @@ def main() -> None:
             solved["sip+calibr."] = (own.motion, own.seconds)
             for name, network in ONLINE:
                 seen = sensors.SIX if network == "dip" else DEVICES
-                run = tracking.track(piece.select(seen), name.split("-")[0], network).run
+                method = "hybrid" if name.startswith("hybrid") else name
+                run = tracking.track(piece.select(seen), method, network).run
                 solved[name] = (run.motion, float(run.frame_s.sum()))
             for name, (motion, seconds) in solved.items():
                 seen = DEVICES if "imuposer" in name else sensors.SIX

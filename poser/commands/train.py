@@ -31,6 +31,10 @@ SOURCES = {
     "cmu": "CMU Graphics Lab mocap (mocap.cs.cmu.edu)",
     "bandai": "Bandai-Namco-Research-Motiondataset-2 (CC BY-NC 4.0)",
 }
+CREDITS = {
+    "cmu": "The data used was obtained from mocap.cs.cmu.edu, created with funding from NSF EIA-0196217.",
+    "bandai": "Bandai-Namco-Research-Motiondataset-2, Bandai Namco Research Inc., CC BY-NC 4.0.",
+}
 BANDAI_STEP = 12  # every so many of Bandai's validation clips: they are much alike
 
 
@@ -90,10 +94,12 @@ def run(args: Namespace) -> int:
         corpus, config.sensors, config.rate_hz, settings.frames, settings.augmentation, world.device
     )
     key = f"{about['key']} {args.share:g}"
-    trainer = Trainer(
-        settings, windows, validation, args.output, {"data": about}, start, world, key
-    )
-    return training.execute(trainer, validation, args, {"data": about})
+    record: dict[str, Any] = {"data": about}
+    licence = _licence(args)
+    if licence:
+        record["licence"] = licence
+    trainer = Trainer(settings, windows, validation, args.output, record, start, world, key)
+    return training.execute(trainer, validation, args, record)
 
 
 def _settings(args: Namespace) -> TrainSettings:
@@ -122,7 +128,7 @@ def _data(args: Namespace, tell: Progress) -> tuple[Corpus, Windowed, dict[str, 
     if not args.motions:
         if args.validation:
             raise UsageError("argument --validation: needs MOTION to train on")
-        return _own_split(args.network, tuple(dict.fromkeys(args.collections or ("cmu",))), tell)
+        return _own_split(args.network, _collections(args), tell)
     if args.collections:
         raise UsageError("argument --collections: not with MOTION")
     from learned import corpus, validation
@@ -143,6 +149,21 @@ def _data(args: Namespace, tell: Progress) -> tuple[Corpus, Windowed, dict[str, 
         "minutes": round(clips.seconds / 60, 1), "validation_clips": len(held),
     }  # fmt: skip
     return clips, windows, about
+
+
+def _licence(args: Namespace) -> str | None:
+    """Of weights trained on the project's own clips; what they start from may ask for more. None: unknown."""
+    from learned import checkpoint
+
+    if args.motions:
+        return None
+    inherited: str | None = checkpoint.describe(args.start).get("licence") if args.start else "MIT"
+    return "CC BY-NC 4.0" if "bandai" in _collections(args) else inherited
+
+
+def _collections(args: Namespace) -> tuple[str, ...]:
+    """The project's collections to train on where no motions are given."""
+    return tuple(dict.fromkeys(args.collections or ("cmu",)))
 
 
 def _motions(paths: Sequence[Path]) -> Iterator[tuple[str, Motion]]:
@@ -171,6 +192,7 @@ def _own_split(
     clips = corpus.Corpus.join(parts, [SHARES[c] for c in collections])
     about = {
         "what": " and ".join(SOURCES[c] for c in collections) + ", training clips of the project's split",
+        "credit": " ".join(CREDITS[c] for c in collections),
         "key": " ".join(keys), "clips": len(clips.names), "minutes": round(clips.seconds / 60, 1),
         "validation_clips": len(held),
     }  # fmt: skip

@@ -150,10 +150,20 @@ def test_the_projects_own_clips(
         (tmp_path / "cache" / folder).mkdir(parents=True)
         for name in names:
             write_bvh(tmp_path / "cache" / folder / f"{name}.bvh", motions.squat(2.0))
-    about = answer(*words, "-o", tmp_path / "cmu")["data"]
+    found = answer(*words, "-o", tmp_path / "cmu", "--export", tmp_path / "cmu.safetensors")
+    about = found["data"]
+    card = (tmp_path / "cmu.md").read_text()
+    assert "licence of these weights: MIT" in card and "mocap.cs.cmu.edu" in card
+    # What weights begin with may ask for more than what they see.
+    start = tmp_path / "start.safetensors"
+    model = checkpoint.load(tmp_path / "cmu.safetensors")
+    checkpoint.save(model, start, {"licence": "CC BY-NC 4.0"})
+    assert answer(*words, "-o", tmp_path / "on", "--start", start)["licence"] == "CC BY-NC 4.0"
     assert (about["clips"], about["validation_clips"]) == (2, 1)  # 02 tests, 06 validates
     assert "Bandai" not in about["what"]
-    about = answer(*words, "-o", tmp_path / "both", "--collections", "cmu", "bandai")["data"]
+    found = answer(*words, "-o", tmp_path / "both", "--collections", "cmu", "bandai")
+    about = found["data"]
+    assert found["licence"] == "CC BY-NC 4.0"
     # Every tenth of Bandai's validates.
     assert (about["clips"], about["validation_clips"]) == (4, 2)
     assert "CC BY-NC 4.0" in about["what"]
