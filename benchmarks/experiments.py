@@ -32,13 +32,13 @@ import numpy as np
 import torch
 from common import row
 
-from learned import checkpoint, corpus, online
+from learned import checkpoint, corpus, deviations, online
 from learned.augmentation import Augmentation
 from learned.features import COMBINATIONS
 from learned.models import Model, for_network
 from learned.settings import TrainSettings
 from learned.train import Trainer
-from learned.validation import calibrate_deviations, cut_for
+from learned.validation import cut_for
 from learned.virtual import Windows
 from mocap import Motion, dataset, sensors
 from mocap.errors import PoserError
@@ -200,7 +200,7 @@ def rows_of_hybrid_share(args: argparse.Namespace) -> Iterable[dict[str, Any]]:
     held = cut_for("dip", on_split.recorded("validation", "dip", Noise()), args.windows)
     for v in TRAINED["share"]:
         model = trained(v, args)
-        calibrate_deviations(model, held)
+        deviations.calibrate(model, held)
         dip = online.dip(model, 60.0, (20, 5), sensors.SIX)
         for method, estimator in {"dip": dip, "hybrid": hybrid.Tracker(dip)}.items():
             motions = [replay(estimator, r).motion for r in tests]

@@ -15,10 +15,11 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from common import machine, row, seed_of
@@ -27,6 +28,9 @@ from mocap import Motion, dataset, metrics, noskill, sensors, synthesis
 from mocap.estimator import Pose, Sample, replay
 from mocap.skeleton import Skeleton
 from sip.prior import shipped
+
+if TYPE_CHECKING:
+    from learned.models import Imuposer
 
 NAMES = (
     "sip_deg", "angular_deg", "position_cm", "instrumented_deg", "global_deg", "jitter", "acc_error",
@@ -133,55 +137,86 @@ def dip_clip(job: tuple[str, Motion, str | None, dict[str, Any]]) -> list[dict[s
     return out
 
 
-def imuposer_clip(job: tuple[str, Motion, str | None, dict[str, Any]]) -> list[dict[str, Any]]:
-    """Every combination of devices on one clip; settings: of the hybrid."""
-    import hybrid
-    from learned import checkpoint, runtime
+@dataclass(frozen=True)
+class Run:
+    """The network on one combination of devices, the last `IMUPOSER_S` of a clip: what a refinement is given.
+
+    number: of the combination. ms (T,): of a frame.
+    """
+
+    number: int
+    recording: synthesis.Recording
+    truth: Motion
+    poses: Motion
+    std_rad: np.ndarray | None
+    ms: np.ndarray
+
+    def playback(self, covariance: np.ndarray) -> Playback:
+        """The network once more."""
+        return Playback(self.poses, self.std_rad, covariance, self.recording.sensors)
+
+
+def imuposer_runs(name: str, clip: Motion, model: Imuposer) -> Iterator[Run]:
+    """The 24 combinations on one clip."""
+    from learned import runtime
     from learned.features import COMBINATIONS
-    from learned.models import Imuposer
     from learned.online.estimator import Online
     from learned.online.imuposer import ImuposerWindow
-    from learned.refine import AdamEstimator
-    from poser.estimators import TRACKER
 
-    name, clip, weights, settings = job
     everything = synthesis.recording(
         clip, sensors.FIVE, synthesis.NOISES["realistic"], seed_of(name)
     )
     before = max(0, len(clip) - round(IMUPOSER_S * IMUPOSER_HZ))
-    motion = clip.slice(before, len(clip))
-    mean = shipped().mean
-    out = []
-    chosen = Path(weights) if weights else None
-    model = checkpoint.load(chosen or checkpoint.shipped("imuposer"), "imuposer")
-    assert isinstance(model, Imuposer)
-    covariances = [c.double().numpy() for c in model.error_covariance]
     runtime.one_thread()
     awake = runtime.prepare(model, runtime.fastest())
     width = model.net.head.in_features
     for k, combination in enumerate(COMBINATIONS):
         worn = tuple(sensors.FIVE[place] for place in combination)
         whole = everything.select(worn)
-        recording = whole.slice(before, len(whole))
-        label = {"clip": name, "devices": list(worn)}
-        joints = tuple(sensors.lookup(n).joint for n in worn)
-        still = noskill.mean_pose(recording, mean)
-        out.append(label | {"method": "mean-pose"} | figures(still, motion, recording, None))
         window = ImuposerWindow(model, worn, runtime=Asleep(awake, max(0, before - EARLY), width))
         run = replay(Online(window, IMUPOSER_HZ), whole)
-        poses = run.motion.slice(before, len(whole))
-        std = None if run.std_rad is None else run.std_rad[before:]
-        found = figures(poses, motion, recording, 1e3 * run.frame_s[before:])
+        yield Run(
+            k,
+            whole.slice(before, len(whole)),
+            clip.slice(before, len(clip)),
+            run.motion.slice(before, len(whole)),
+            None if run.std_rad is None else run.std_rad[before:],
+            1e3 * run.frame_s[before:],
+        )
+
+
+def imuposer_clip(job: tuple[str, Motion, str | None, dict[str, Any]]) -> list[dict[str, Any]]:
+    """Every combination of devices on one clip; settings: of the hybrid."""
+    import hybrid
+    from learned import checkpoint
+    from learned.models import Imuposer
+    from learned.refine import AdamEstimator
+    from poser.estimators import TRACKER
+
+    name, clip, weights, settings = job
+    mean = shipped().mean
+    chosen = Path(weights) if weights else None
+    model = checkpoint.load(chosen or checkpoint.shipped("imuposer"), "imuposer")
+    assert isinstance(model, Imuposer)
+    covariances = [c.double().numpy() for c in model.error_covariance]
+    tracker = hybrid.TrackerSettings(**(TRACKER["imuposer"] | settings))
+    out = []
+    for run in imuposer_runs(name, clip, model):
+        recording = run.recording
+        label = {"clip": name, "devices": list(recording.sensors)}
+        still = noskill.mean_pose(recording, mean)
+        out.append(label | {"method": "mean-pose"} | figures(still, run.truth, recording, None))
+        found = figures(run.poses, run.truth, recording, run.ms)
         out.append(label | {"method": "imuposer"} | found)
-        for method in ("imuposer-adam", "hybrid"):
-            network = Playback(poses, std, covariances[k], worn)
-            refined: Any = (
-                hybrid.Tracker(network, hybrid.TrackerSettings(**(TRACKER["imuposer"] | settings)))
-                if method == "hybrid"
-                else AdamEstimator(network, joints)
-            )
+        network = run.playback(covariances[run.number])
+        joints = tuple(sensors.lookup(n).joint for n in recording.sensors)
+        ways = {
+            "imuposer-adam": AdamEstimator(network, joints),
+            "hybrid": hybrid.Tracker(network, tracker),
+        }
+        for method, refined in ways.items():
             again = replay(refined, recording)
-            found = figures(again.motion, motion, recording, 1e3 * again.frame_s)
+            found = figures(again.motion, run.truth, recording, 1e3 * again.frame_s)
             out.append(label | {"method": method} | found)
     return out
 

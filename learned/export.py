@@ -7,9 +7,9 @@ from typing import Any
 
 import torch
 
-from learned import checkpoint
+from learned import checkpoint, deviations
 from learned.reach import measured
-from learned.validation import Windowed, calibrate_deviations, score
+from learned.validation import Windowed, score
 from mocap.formats._files import write_aside
 
 PRECISION_ONLINE = (
@@ -19,11 +19,18 @@ PRECISION_ONLINE = (
 )
 
 
-def export(best: Path, target: Path, windows: Windowed, about: dict[str, Any]) -> dict[str, Any]:
+def export(
+    best: Path,
+    target: Path,
+    windows: Windowed,
+    about: dict[str, Any],
+    trained: Windowed | None = None,
+) -> dict[str, Any]:
     """Write `target` (.safetensors), its .json and its .md from a run's best weights.
 
-    Deviations are fitted on the validation windows, and the figures are those of the halved weights, as
-    they will be loaded. Returns the description.
+    Deviations are fitted on the validation windows (and on `trained`, those of motion that was learnt from:
+    `learned.deviations.calibrate`), and the figures are those of the halved weights, as they will be loaded.
+    Returns the description.
     """
     model = checkpoint.load(best)
     record = checkpoint.describe(best)
@@ -31,7 +38,7 @@ def export(best: Path, target: Path, windows: Windowed, about: dict[str, Any]) -
         for name, value in model.state_dict().items():
             if value.ndim > 1 and name.startswith("net."):
                 value.copy_(value.half().float())
-    calibrate_deviations(model, windows)
+    deviations.calibrate(model, windows, trained)
     known = {k: v for k, v in record.items() if k not in ("schema", "config", "validation")}
     online = {"online": measured(model, windows)}
     figures: dict[str, Any] = score(model, windows) | {"windows": len(windows.clip)}

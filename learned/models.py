@@ -109,7 +109,7 @@ class Dip(nn.Module):
         # have unit variance; and the deviation of joints that it does not predict.
         self.register_buffer("deviation_scale", torch.ones(24))
         self.register_buffer("deviation_rad", torch.full((24, 3), 0.2))
-        # Of all joints' errors together (72,72) rad^2: `learned.validation.calibrate_deviations`.
+        # Of all joints' errors together (72,72) rad^2: `learned.deviations.calibrate`.
         self.register_buffer("error_covariance", 0.04 * torch.eye(72))
 
     @property

@@ -17,16 +17,15 @@ from torch import Tensor
 from learned import kinematics as kin
 from learned import losses
 from learned.corpus import prepared
-from learned.features import COMBINATIONS, DIP_JOINTS, dip_target, imuposer_input, imuposer_pose
+from learned.features import COMBINATIONS, dip_target, imuposer_input, imuposer_pose
 from learned.models import RATES, Dip, Model
-from mocap import orientation as ori
 from mocap import sensors as places
 from mocap import synthesis
 from mocap.errors import PoserError
 from mocap.metrics import MASKED, SIP_JOINTS
 from mocap.motion import Motion
 from mocap.recording import Recording
-from mocap.skeleton import MIRROR, Skeleton
+from mocap.skeleton import Skeleton
 from mocap.synthesis import Noise
 
 SEEN = {"dip": (20, 5), "imuposer": (124, 0)}  # past and future frames that the online runner shows
@@ -193,84 +192,6 @@ def score(model: Model, windows: Windowed, reconstruct_acc: bool = True) -> dict
     return figures(poses, windows) | {"loss": loss}
 
 
-SHRINK = 0.1  # of a covariance towards its diagonal: it is estimated from few clips
-# Joints that the network holds fixed have errors too small to invert.
-LEAST_RAD = float(np.deg2rad(1.0))
-_MIRRORED = (1, 0, 3, 2, 4)  # places of `five` with left and right exchanged
-
-
-def calibrate_deviations(model: Model, windows: Windowed) -> None:
-    """Fit what the model says of its own errors to its errors on this set (hybrid.md).
-
-    Errors are Log(R_estimated^T R_true); every clip counts the same. DIP: a scale per joint on the network's
-    own deviation (unit variance), the rms error of joints that it does not predict, the covariance of all
-    joints' errors. IMUPoser: deviations and covariance per combination. Left and right are taken for
-    mirror images of each other.
-    """
-    model.eval()
-    with torch.inference_mode(False), torch.no_grad():
-        weight = clip_weights(windows.clip)
-        if isinstance(model, Dip):
-            model.deviation_scale.fill_(1.0)
-            error, spread = _dip_errors(model, windows)
-            predicted = torch.zeros(24, dtype=torch.bool)
-            predicted[list(DIP_JOINTS)] = True
-            rms = (weight[:, None, None] * error.square()).sum(0).sqrt().float()
-            model.deviation_rad.copy_(torch.where(predicted[:, None], 0.2, rms.clamp_min(1e-3)))
-            z = (weight[:, None, None] * (error / spread).square()).sum(0).mean(-1).sqrt()
-            model.deviation_scale.copy_(torch.where(predicted, z.float(), 1.0))
-            both = covariance(error, weight) + covariance(mirrored(error), weight)
-            model.error_covariance.copy_(shrunk(both / 2))
-            return
-        each = [
-            (covariance(e, weight), covariance(mirrored(e), weight))
-            for e in (_errors(imuposer_poses(model, windows, c), windows) for c in COMBINATIONS)
-        ]
-        for k, combination in enumerate(COMBINATIONS):
-            twin = COMBINATIONS.index(tuple(sorted(_MIRRORED[p] for p in combination)))
-            C = shrunk((each[k][0] + each[twin][1]) / 2)
-            model.error_covariance[k].copy_(C)
-            model.deviation_rad[k].copy_(C.diagonal().sqrt().reshape(24, 3))
-
-
-def clip_weights(clip: np.ndarray) -> Tensor:
-    """(N,), sum 1: every clip counts the same, whatever its length."""
-    _, which, count = np.unique(clip, return_inverse=True, return_counts=True)
-    return torch.as_tensor(1.0 / count[which] / len(count))
-
-
-def covariance(error: Tensor, weight: Tensor) -> Tensor:
-    """(72,72) rad^2: the weighted second moment of errors (N,24,3) rad; zero is the mean they should have."""
-    e = error.reshape(len(error), -1).double()
-    return (weight[:, None] * e).T @ e
-
-
-def mirrored(error: Tensor) -> Tensor:
-    """Rotation vectors (N,24,3) of the body's mirror image (reflection in the plane x = 0)."""
-    return error[:, list(MIRROR)] * torch.tensor([1.0, -1.0, -1.0], dtype=error.dtype)
-
-
-def shrunk(C: Tensor) -> Tensor:
-    """(1 - SHRINK) C + SHRINK diag(C), diagonal entries at least `LEAST_RAD`^2: well conditioned."""
-    own = C.diagonal()
-    return (1 - SHRINK) * C + torch.diag(SHRINK * own + (LEAST_RAD**2 - own).clamp_min(0))
-
-
-def _dip_errors(model: Dip, windows: Windowed) -> tuple[Tensor, Tensor]:
-    """Errors (N,24,3) rad and the stated deviations (N,24,3) rad."""
-    t = windows.emit
-    poses, spread = [], []
-    for i in range(0, len(windows.clip), CHUNK):
-        part = slice(i, i + CHUNK)
-        R, acc = windows.R_world_bone[part], windows.acc_world[part]
-        out = model(model.inputs(R, acc)[0])
-        at = out.at(t)
-        pose = model.pose(at, R[:, t, 5])
-        poses.append(pose)
-        spread.append(model.pose_deviation(at, pose))
-    return _errors(torch.cat(poses), windows), torch.cat(spread).double()
-
-
 def imuposer_poses(model: Model, windows: Windowed, combination: Sequence[int]) -> Tensor:
     """Local rotations (N,24,3,3) of the emitted frames with these devices worn."""
     worn = torch.zeros(5, dtype=torch.bool)
@@ -281,9 +202,3 @@ def imuposer_poses(model: Model, windows: Windowed, combination: Sequence[int]) 
         x = imuposer_input(R, acc, worn.expand(len(R), 5))
         poses.append(imuposer_pose(model(x)[:, windows.emit]))
     return torch.cat(poses)
-
-
-def _errors(poses: Tensor, windows: Windowed) -> Tensor:
-    """Log(R_estimated^T R_true) (N,24,3) rad of the emitted frames."""
-    truth = windows.R_parent_joint[:, windows.emit].double()
-    return torch.as_tensor(ori.log((poses.double().mT @ truth).numpy()))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -107,8 +107,17 @@ def check_outputs(args: Namespace, inputs: Sequence[Path]) -> None:
         raise PoserError(f"{args.output}: holds no run to resume")
 
 
-def execute(trainer: Trainer, windows: Windowed, args: Namespace, extra: dict[str, Any]) -> int:
-    """Run, export, draw, report. Ctrl-C leaves a state to go on from and gives 130."""
+def execute(
+    trainer: Trainer,
+    windows: Windowed,
+    args: Namespace,
+    extra: dict[str, Any],
+    trained: Callable[[], Windowed],
+) -> int:
+    """Run, export, draw, report. Ctrl-C leaves a state to go on from and gives 130.
+
+    trained: cuts windows of what is learnt from, for an export's error covariance.
+    """
     first = trainer.world.first
     begun = trainer.step
     if trainer.earlier:
@@ -146,7 +155,8 @@ def execute(trainer: Trainer, windows: Windowed, args: Namespace, extra: dict[st
     if args.export:
         from learned.export import export
 
-        written = export(best, args.export, windows, {})
+        with progress(f"exporting {args.export.name}"):
+            written = export(best, args.export, windows, {}, trained())
         record |= {"exported": str(args.export), "exported_validation": written["validation"]}
     if args.json:
         emit(record)

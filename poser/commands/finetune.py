@@ -64,7 +64,7 @@ def run(args: Namespace) -> int:
         settings, Recorded(train, settings.frames, world.device), windows, args.output, about, start,
         world, key_of(paths),
     )  # fmt: skip
-    return training.execute(trainer, windows, args, about)
+    return training.execute(trainer, windows, args, about, lambda: cut_for(args.network, train))
 
 
 def _start(args: Namespace) -> tuple[Model, Path]:

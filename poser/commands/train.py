@@ -35,6 +35,7 @@ CREDITS = {
     "cmu": "The data used was obtained from mocap.cs.cmu.edu, created with funding from NSF EIA-0196217.",
     "bandai": "Bandai-Namco-Research-Motiondataset-2, Bandai Namco Research Inc., CC BY-NC 4.0.",
 }
+ENOUGH = 60  # training files that an error covariance is fitted on, beside the validation files
 BANDAI_STEP = 12  # every so many of Bandai's validation clips: they are much alike
 
 
@@ -84,7 +85,7 @@ def run(args: Namespace) -> int:
         if start.config != settings.config:
             raise PoserError(f"{args.start}: holds another network than these options describe")
     with progress("reading motions") as tell:
-        corpus, validation, about = _data(args, tell)
+        corpus, paths, validation, about = _data(args, tell)
     if args.share < 1:
         corpus = corpus.subset(args.share, settings.seed)
         about["clips"] = len(corpus.names)
@@ -99,7 +100,9 @@ def run(args: Namespace) -> int:
     if licence:
         record["licence"] = licence
     trainer = Trainer(settings, windows, validation, args.output, record, start, world, key)
-    return training.execute(trainer, validation, args, record)
+    return training.execute(
+        trainer, validation, args, record, lambda: _windows(args.network, _evenly(paths))
+    )
 
 
 def _settings(args: Namespace) -> TrainSettings:
@@ -123,15 +126,17 @@ def _settings(args: Namespace) -> TrainSettings:
     return TrainSettings.paper(args.network, reconstruct_acc=not args.no_acc_loss, **changes)
 
 
-def _data(args: Namespace, tell: Progress) -> tuple[Corpus, Windowed, dict[str, Any]]:
-    """The training corpus, the validation windows, and what they are made of."""
+def _data(
+    args: Namespace, tell: Progress
+) -> tuple[Corpus, Sequence[Path], Windowed, dict[str, Any]]:
+    """The training corpus, its files, the validation windows, and what all is made of."""
     if not args.motions:
         if args.validation:
             raise UsageError("argument --validation: needs MOTION to train on")
         return _own_split(args.network, _collections(args), tell)
     if args.collections:
         raise UsageError("argument --collections: not with MOTION")
-    from learned import corpus, validation
+    from learned import corpus
 
     train = training_files.motions(args.motions)
     if args.validation:
@@ -143,12 +148,12 @@ def _data(args: Namespace, tell: Progress) -> tuple[Corpus, Windowed, dict[str, 
         note(f"validation: every tenth motion by name, {len(held)} of them ({names})")
     forward = part(tell, 0.0, 0.9)
     clips = corpus.read(train, lambda i, n: forward(i / n, f"reading {i} of {n} motions"))
-    windows = validation.cut_for(args.network, validation.recordings(args.network, _motions(held)))
+    windows = _windows(args.network, held)
     about = {
         "what": "motions of the user", "key": corpus.key_of(train), "clips": len(clips.names),
         "minutes": round(clips.seconds / 60, 1), "validation_clips": len(held),
     }  # fmt: skip
-    return clips, windows, about
+    return clips, train, windows, about
 
 
 def _licence(args: Namespace) -> str | None:
@@ -166,6 +171,18 @@ def _collections(args: Namespace) -> tuple[str, ...]:
     return tuple(dict.fromkeys(args.collections or ("cmu",)))
 
 
+def _windows(network: str, paths: Sequence[Path]) -> Windowed:
+    """As the network sees the motions of these files online."""
+    from learned import validation
+
+    return validation.cut_for(network, validation.recordings(network, _motions(paths)))
+
+
+def _evenly(paths: Sequence[Path]) -> Sequence[Path]:
+    """At most about `ENOUGH` of them."""
+    return paths[:: max(1, len(paths) // ENOUGH)]
+
+
 def _motions(paths: Sequence[Path]) -> Iterator[tuple[str, Motion]]:
     for path in paths:
         yield path.stem, files.motion(path, quiet=True)
@@ -173,12 +190,12 @@ def _motions(paths: Sequence[Path]) -> Iterator[tuple[str, Motion]]:
 
 def _own_split(
     network: str, collections: Sequence[str], tell: Progress
-) -> tuple[Corpus, Windowed, dict[str, Any]]:
+) -> tuple[Corpus, Sequence[Path], Windowed, dict[str, Any]]:
     """The project's training and validation clips (`mocap.dataset`) of these collections."""
-    from learned import corpus, validation
+    from learned import corpus
     from mocap import dataset
 
-    parts, keys, held = [], [], []
+    parts, keys, train, held = [], [], [], []
     for k, collection in enumerate(collections):
         paths = dataset.files("train", (collection,))
         forward = part(tell, 0.9 * k / len(collections), 0.9 * (k + 1) / len(collections))
@@ -186,9 +203,10 @@ def _own_split(
             corpus.read(paths, lambda i, n, f=forward: f(i / n, f"reading {i} of {n} motions"))  # type: ignore[misc]
         )
         keys.append(corpus.key_of(paths))
+        train += paths
         mine = dataset.files("validation", (collection,))
         held += mine[::BANDAI_STEP] if collection == "bandai" else mine
-    windows = validation.cut_for(network, validation.recordings(network, _motions(held)))
+    windows = _windows(network, held)
     clips = corpus.Corpus.join(parts, [SHARES[c] for c in collections])
     about = {
         "what": " and ".join(SOURCES[c] for c in collections) + ", training clips of the project's split",
@@ -196,4 +214,4 @@ def _own_split(
         "key": " ".join(keys), "clips": len(clips.names), "minutes": round(clips.seconds / 60, 1),
         "validation_clips": len(held),
     }  # fmt: skip
-    return clips, windows, about
+    return clips, train, windows, about
