@@ -7,7 +7,7 @@ STAMP := $(VENV)/.installed
 WORKERS ?= auto
 # One clone may move: paths are relative, and the stamp follows what it was made from.
 
-.PHONY: help venv demo test lint types check bench bench-split bench-methods bench-real bench-experiments bench-endurance prior weights clean
+.PHONY: help venv demo test lint types check bench bench-split bench-methods bench-real bench-accuracy bench-experiments bench-endurance prior weights clean
 
 help:
 	@echo "make demo         all methods on the built-in recording, with pictures and a report in poser-demo/"
@@ -16,6 +16,7 @@ help:
 	@echo "make bench-split  accuracy on the fixed test split (needs the data, see README)"
 	@echo "make bench-methods  DIP, IMUPoser and the hybrids on the fixed test split (needs the data)"
 	@echo "make bench-real   the real recording (needs the data)"
+	@echo "make bench-accuracy     the last three: every accuracy table of the README"
 	@echo "make bench-experiments  the papers' experiments: trains for hours (needs the data)"
 	@echo "make bench-endurance    ten hours of the tracker, one of each network"
 
@@ -47,6 +48,7 @@ bench: $(STAMP)
 	$(BIN)/python benchmarks/speed.py --sensors
 	$(BIN)/python benchmarks/speed.py --memory
 	$(BIN)/python benchmarks/networks.py
+	$(BIN)/python benchmarks/networks.py --refinement
 	$(BIN)/python benchmarks/qp.py
 
 bench-split: $(STAMP)
@@ -55,11 +57,13 @@ bench-split: $(STAMP)
 bench-methods: $(STAMP)
 	$(BIN)/python benchmarks/methods.py
 
+bench-accuracy: bench-split bench-methods bench-real
+
 bench-real: $(STAMP)
 	$(BIN)/python benchmarks/real.py
 
 bench-experiments: $(STAMP)
-	$(BIN)/python benchmarks/experiments.py share hidden augmentation noise-gap licence imuposer-limits dip-tables dip-networks \
+	$(BIN)/python benchmarks/experiments.py share hybrid-share hidden augmentation noise-gap licence imuposer-limits dip-tables dip-networks \
 	    normalisations one-clip dip-window dip-histogram imuposer-devices imuposer-regions
 
 bench-endurance: $(STAMP)

@@ -37,7 +37,7 @@ class Job:
     name: as it is called in tables. methods: of `METHODS`. sensors: what the methods see (None: `six` where
     the recording has them, else all it has). devices: what IMUPoser sees (None: `devices_of` the sensors
     given, else of all that the recording has).
-    reference: a motion, "sip-all", or None for the recording's own. skeleton: the body that SIP solves for.
+    reference: a motion, "sip-all", or None for the recording's own. skeleton: the body that is solved for.
     """
 
     name: str
@@ -111,13 +111,16 @@ def attempt(
 
 
 def obstacles(job: Job) -> dict[str, str]:
-    """Method -> why the sensors there are do not serve it; a method that they serve is not in it."""
+    """Method -> why it cannot be measured with the sensors there are; one that can is not in it."""
     found = {}
     for name in job.methods:
         try:
-            read_by(job, name)
+            seen = read_by(job, name)
         except PoserError as e:
             found[name] = str(e)
+            continue
+        if name == "sip" and job.reference == "sip-all" and set(seen) == set(job.recording.sensors):
+            found[name] = "the reference is SIP on the same sensors: it would agree with itself"
     return found
 
 
@@ -156,6 +159,8 @@ def six_of(recording: Recording) -> tuple[str, ...]:
 
 def _reference(job: Job, tell: Progress) -> tuple[Motion, str]:
     """The truth and where it comes from, in words. Raises PoserError where there is none that fits."""
+    from poser.staging import on_the_floor
+
     if isinstance(job.reference, Motion):
         slower = min(job.reference.rate_hz, job.recording.rate_hz)
         # As `metrics.evaluate` demands, but before hours of solving rather than after each method.
@@ -167,7 +172,10 @@ def _reference(job: Job, tell: Progress) -> tuple[Motion, str]:
         return job.reference, "a motion file"
     if job.reference == "sip-all":
         solution = _solve(job, job.recording, "sip", tell)
-        return solution.motion, f"SIP on all {len(job.recording.sensors)} sensors"
+        return (
+            on_the_floor(solution.motion),
+            f"SIP on all {len(job.recording.sensors)} sensors",
+        )
     if job.recording.reference is None:
         raise PoserError(
             "the recording holds no reference motion; give --reference MOTION, or sip-all for SIP on "
@@ -192,7 +200,7 @@ def _method(job: Job, name: str, reference: Motion, tell: Progress) -> Result:
 
     tracked = tracking.track(
         job.recording.select(seen), "hybrid" if name.startswith("hybrid") else name, NETWORK[name],
-        progress=tell,
+        progress=tell, skeleton=job.skeleton,
     )  # fmt: skip
     return _result(job, tracked.run.motion, reference, seen, tracked.record())
 
@@ -217,13 +225,14 @@ def _result(
 def _no_skill(recording: Recording, seen: tuple[str, ...], reference: Motion) -> dict[str, Result]:
     """The two rows that need no skill, from the prior's mean and its bank of poses."""
     from mocap import metrics, noskill
+    from poser.staging import on_the_floor
     from sip.prior import shipped
 
     prior, chosen = shipped(), recording.select(seen)
     out = {}
     for name, motion in noskill.both(chosen, prior.mean, prior.poses).items():
         found = metrics.evaluate(motion, reference, recording=recording, seen=seen)
-        out[name] = Result(motion, found, {"used_sensors": list(seen)})
+        out[name] = Result(on_the_floor(motion), found, {"used_sensors": list(seen)})
     return out
 
 

@@ -133,6 +133,18 @@ def note_gaps(path: Path, used: Recording, whole: Recording) -> None:
         note(f"{where}: {text}")
 
 
+def note_no_acc(path: Path, used: Recording) -> None:
+    """Note the sensors of which a network reads an acceleration of zero throughout."""
+    import numpy as np
+
+    silent = np.any(used.valid, axis=0) & ~np.any(used.acc_valid, axis=0)
+    names = [n for k, n in enumerate(used.sensors) if silent[k]]
+    if names:
+        note(
+            f"{path}: no acceleration of {', '.join(names)}: networks are trained with it and read zeros"
+        )
+
+
 def raw(path: Path, options: Options | None = None) -> RawRecording:
     """The raw recording in a file; raises FormatError where it holds something else."""
     return _expect(path, "raw", options)  # type: ignore[return-value]

@@ -121,7 +121,7 @@ def _methods(recordings: Sequence[Compared]) -> list[str]:
 
 def _mean(name: str, recordings: Sequence[Compared]) -> dict[str, Any]:
     found = [r.methods[name] for r in recordings if name in r.methods]
-    out = mean_over([m.metrics for m in found]).to_json()
+    out = {"recordings": len(found)} | mean_over([m.metrics for m in found]).to_json()
     for key in AVERAGED:
         known = [m.figures[key] for m in found if key in m.figures]
         if known:
@@ -155,12 +155,15 @@ COLUMNS: tuple[tuple[str, str, int], ...] = (
 def rows(mean: Mapping[str, Mapping[str, Any]]) -> tuple[list[str], list[list[str]]]:
     """Heading and rows of a comparison, one row a method, of the "mean" of `results.json`.
 
-    A column that no method has a figure for is left out.
+    A column that no method has a figure for is left out. A method that was measured on fewer recordings than
+    others says on how many: its mean is over other motion than theirs.
     """
     out = []
+    most = max((v.get("recordings", 1) for v in mean.values()), default=1)
     columns = [c for c in COLUMNS if any(v.get(c[0]) is not None for v in mean.values())]
     for name, values in mean.items():
-        cells = [NAMES.get(name, name)]
+        count = values.get("recordings", most)
+        cells = [NAMES.get(name, name) + (f" ({count} of {most})" if count < most else "")]
         for key, _, digits in columns:
             value = values.get(key)
             cells.append("-" if value is None else f"{value:.{digits}f}")

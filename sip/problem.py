@@ -148,7 +148,9 @@ class Problem:
     @property
     def dense_reach(self) -> int:
         """Frames apart that any two unknowns may couple (accelerations), beyond constant terms."""
-        return max(t.reach for t in self.terms if t.name in ("orientation", "acceleration"))
+        return max(
+            t.reach for t in self.terms if not isinstance(t, LinearSmoothness | RootSmoothness)
+        )
 
     def point(self, x: Array, R_ref: Array, u: Array, jacobian: bool = True) -> Point:
         """The kinematics at these unknowns."""
@@ -256,6 +258,7 @@ def build(
         sigma = np.r_[[s.sigma_mounting] * 3, s.sigma_heading, [s.sigma_bias] * 3]
         sigma = sigma / np.sqrt(overcount(rate, s))
         terms.append(SensorConstants(sigma))
+    terms += [make(recording, k) for make in s.extra]
     terms = [t for t in terms if t.reach < len(recording)]
     return Problem(skeleton, recording, s, k, terms, R_meas, prior, fixed)
 

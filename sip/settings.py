@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from mocap.errors import SolveError
 from mocap.motion import Motion
 from sip.prior import Prior, shipped
+
+if TYPE_CHECKING:
+    from mocap.recording import Recording
+    from sip.problem import SensorKinematics
+    from sip.terms.base import Term
 
 DEG = np.pi / 180
 
@@ -33,6 +39,9 @@ class Settings:
     correlation_s: neighbouring frames err alike, so rate * correlation_s of them count as one piece of
     evidence on a constant (the constants' sigmas shrink by the root of that number). It is raised until
     the constants' spread over sensors is no larger than their sigmas.
+    extra: terms of one's own. Each entry is called with the recording of a window (or of the coarse start:
+    fewer frames, its own rate and start_s) and its kinematics, and gives a `sip.terms.base.Term`;
+    `examples/own_term.py`.
     """
 
     terms: Literal["sop", "sip"] = "sip"
@@ -62,6 +71,7 @@ class Settings:
     window: int = 1200
     overlap: int = 90
     uncertainty: bool = False
+    extra: tuple[Callable[[Recording, SensorKinematics], Term], ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("terms", "solver"):

@@ -79,7 +79,9 @@ def add_arguments(parser: ArgumentParser) -> None:
         "--solver", choices=("ipopt", "ipopt-cold", "banded"), default="ipopt",
         help="of SOP, SIP and sip-all (default: ipopt)",
     )  # fmt: skip
-    parser.add_argument("--height", type=options.stature, metavar="M", help="stature in m, for SIP")
+    parser.add_argument(
+        "--height", type=options.stature, metavar="M", help="stature in m, of the wearer"
+    )
     options.add_window(parser)
     parser.add_argument("--jobs", type=_count, default=1, metavar="N", help="recordings at a time")
     parser.add_argument(
@@ -195,6 +197,8 @@ def _jobs(args: Namespace) -> list[Job]:
         read = comparison.read_by_any(job)
         if read:
             files.note_gaps(path, window.select(read), recording)
+            if any(m in comparison.NETWORK for m in job.methods):
+                files.note_no_acc(path, window.select(read))
         jobs.append(job)
     return jobs
 

@@ -77,6 +77,7 @@ def run(args: Namespace) -> int:
         recording = _chosen(recording, network, args.recording, free=args.sensors is None)
         recording, _ = cut_window(recording, args.begin, args.end)
     files.note_gaps(args.recording, recording, whole)
+    files.note_no_acc(args.recording, recording)
     tracked = _tracked(args, recording, network)
     if len(recording) <= tracked.look_ahead_frames:
         note(

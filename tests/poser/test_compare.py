@@ -15,7 +15,7 @@ from mocap.errors import PoserError
 from mocap.formats.amass import write_motion
 from mocap.formats.native import FORMAT as NATIVE
 from mocap.motion import Motion
-from poser import comparison, estimators, motions, player, results
+from poser import comparison, estimators, motions, player, results, staging
 from poser.__main__ import main
 
 FAST = ("--solver", "banded", "--methods", "sop,sip")
@@ -114,6 +114,52 @@ def test_sip_all_is_sip_on_every_sensor(recordings: Path, tmp_path: Path) -> Non
         formats.read(solved).content, formats.read(tmp_path / "reference.npz").content
     )
     assert same.global_deg == pytest.approx(0, abs=1e-3)
+    # Bodies that the report shows side by side stand on one floor.
+    for name in ("reference", "sip", "mean-pose"):
+        motion = formats.read(tmp_path / f"{name}.npz").content
+        assert staging.floor_of(motion) == pytest.approx(0, abs=1e-6), name
+
+
+def test_sip_is_not_measured_against_itself(recordings: Path, tmp_path: Path) -> None:
+    words = ["compare", str(recordings / "walk.npz"), "-o", str(tmp_path), *FAST]
+    assert main([*words, "--reference", "sip-all"]) == 0
+    record = json.loads((tmp_path / "results.json").read_text())["recordings"][0]
+    assert "sip" not in record["methods"] and record["methods"]["sop"]["sip_deg"] > 0.1
+    assert "would agree with itself" in record["failed"]["sip"]
+    assert "would agree with itself" in (tmp_path / "report.html").read_text()
+
+
+def test_a_mean_says_over_how_many_recordings(
+    recordings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    paths = [str(recordings / "walk.npz"), str(recordings / "suit.npz")]
+    words = ["compare", *paths, "-o", str(tmp_path), *FAST, "--reference", "sip-all"]
+    assert main(words) == 0
+    mean = json.loads((tmp_path / "results.json").read_text())["mean"]
+    assert (mean["sop"]["recordings"], mean["sip"]["recordings"]) == (2, 1)
+    said = capsys.readouterr().out
+    assert "SIP (1 of 2)" in said and "SOP " in said and "SOP (" not in said
+
+
+def test_sensors_without_accelerations_are_told(
+    recordings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from dataclasses import replace
+
+    whole = formats.read(recordings / "walk.npz").content
+    acc = np.array(whole.acc_world)
+    acc[:, :2] = np.nan
+    assert NATIVE.write is not None
+    NATIVE.write(tmp_path / "half.npz", replace(whole, acc_world=acc))
+    said = f"no acceleration of {', '.join(whole.sensors[:2])}: networks"
+    out = tmp_path / "out.npz"
+    assert main(["track", str(tmp_path / "half.npz"), "-o", str(out), "--method", "dip"]) == 0
+    assert said in capsys.readouterr().err
+    words = ["compare", str(tmp_path / "half.npz"), "-o", str(tmp_path / "c"), "--methods", "dip"]
+    assert main(words) == 0
+    assert said in capsys.readouterr().err
+    assert main([*words[:4], "--methods", "sop", "--solver", "banded"]) == 0
+    assert "no acceleration" not in capsys.readouterr().err  # SOP does not ask for any
 
 
 ONLINE = ("dip", "imuposer", "imuposer-adam", "hybrid-dip", "hybrid-imuposer")

@@ -10,10 +10,12 @@ import pytest
 
 from mocap import Recording, Skeleton, sensors, synthesis
 from mocap import orientation as ori
+from mocap.orientation import Array
 from sip import Settings, initial
 from sip import kinematics as kin
+from sip.band import Band
 from sip.problem import Problem, SensorKinematics, build, reference_root
-from sip.terms.base import Point
+from sip.terms.base import Point, add_stencil
 from tests.sip.conftest import wavy
 
 VARIANTS = [
@@ -23,7 +25,33 @@ VARIANTS = [
     {"self_calibration": True},
     {"robust_delta": 0.5},
     {"self_calibration": True, "smooth_order": 0},
+    {"extra": (lambda recording, kinematics: Bent(7),)},
 ]
+
+
+class Bent:
+    """A term of one's own: residual (T-1,) x[t] - 2 x[t+1] of one column, which couples two frames."""
+
+    name, reach, constant = "bent", 1, False
+
+    def __init__(self, column: int) -> None:
+        self.column = column
+
+    def residual(self, point: Point) -> Array:
+        x = point.x[:, self.column]
+        return np.sin(x[:-1]) - 2 * x[1:]
+
+    def loss(self, residual: Array) -> float:
+        return 0.5 * float(residual @ residual)
+
+    def pullback(self, point: Point, v: Array, grad: Array, grad_u: Array) -> None:
+        grad[:-1, self.column] += np.cos(point.x[:-1, self.column]) * v
+        grad[1:, self.column] -= 2 * v
+
+    def hessian(self, point: Point, band: Band) -> None:
+        slope = np.cos(point.x[:-1, self.column])
+        J = {0: slope[:, None, None], 1: np.full((len(slope), 1, 1), -2.0)}
+        add_stencil(band, J, slice(self.column, self.column + 1))
 
 
 def away(
