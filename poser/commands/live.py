@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from poser import files, options
-from poser.console import DONE, UsageError, complain, emit
+from poser.console import DONE, UsageError, complain, emit, note
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -113,7 +113,7 @@ def run(args: Namespace) -> int:
             sinks.append(_sink(text, source, skeleton, args))
         source.open()
         begun = True
-        _announce(args, source)
+        _announce(args, source, network)
         loop.run(source, estimator, sinks, skeleton, report, telling.Teller(source, sinks).tell)
     finally:
         loop.close(source, sinks, report)
@@ -127,8 +127,7 @@ def run(args: Namespace) -> int:
 def _source(args: Namespace, network: str) -> Source:
     kind, _, rest = args.source.partition(":")
     if kind in ("udp", "osc") and rest:
-        usual = "five" if network == "imuposer" or args.devices else "six"
-        return _network(args, kind, rest, options.sensors(args.sensors or usual))
+        return _network(args, kind, rest, _worn(args, network))
     from poser.live.sources import Replay
 
     if kind in ("udp", "osc") and not Path(args.source).exists():
@@ -147,13 +146,46 @@ def _source(args: Namespace, network: str) -> Source:
         recording = recording.slice(0, max(1, round(args.seconds * recording.rate_hz)))
     with files.about(path):
         names = options.sensors(args.sensors, recording.sensors)
+        if args.sensors is None and network == "imuposer":
+            names = _everyday(names)
         return Replay(recording.select(names), args.speed)
+
+
+def _everyday(names: tuple[str, ...]) -> tuple[str, ...]:
+    """What IMUPoser sees of a recording's sensors where nobody said: at most three."""
+    from poser import estimators
+
+    if len(estimators.used("imuposer", names)) <= estimators.MOST_DEVICES:
+        return names
+    names = estimators.devices_of(names)
+    note(f"imuposer sees {', '.join(names)}; --sensors chooses others")
+    return names
+
+
+def _worn(args: Namespace, network: str) -> tuple[str, ...]:
+    """The sensors from the network: as said, else what the network is made for."""
+    from mocap import sensors as places
+    from poser import estimators
+
+    if args.devices:
+        tracked = options.sensors("five" if args.sensors is None else args.sensors)
+        never = [name for name in tracked if name not in places.FIVE]
+        if never:
+            raise UsageError(
+                f"argument --devices: no device is ever tracked at {', '.join(never)}; --sensors may name "
+                f"{', '.join(places.FIVE)}"
+            )
+        return tracked
+    if args.sensors is None and network == "imuposer":
+        return estimators.devices_of(places.FIVE)
+    return options.sensors("six" if args.sensors is None else args.sensors)
 
 
 def _network(args: Namespace, kind: str, rest: str, sensors: tuple[str, ...]) -> Network:
     from poser.live import addresses, osc, packets
     from poser.live.assembler import Assembler
-    from poser.live.sources import Network, Receiver, y_up
+    from poser.live.receiver import Receiver, y_up
+    from poser.live.sources import Network
 
     if args.speed != 1.0:
         raise UsageError("argument --speed: for a recording, not for sensors from the network")
@@ -169,7 +201,7 @@ def _network(args: Namespace, kind: str, rest: str, sensors: tuple[str, ...]) ->
     return Network(receiver, assembler, sensors, where, table, watch, tracker, args.seconds)
 
 
-def _announce(args: Namespace, source: Source) -> None:
+def _announce(args: Namespace, source: Source, network: str) -> None:
     """What the wearer should know before anything comes: on stderr."""
     kind, _, rest = args.source.partition(":")
     if kind not in ("udp", "osc"):
@@ -179,6 +211,9 @@ def _announce(args: Namespace, source: Source) -> None:
     address = addresses.parse(rest, "argument --source")
     names = ", ".join(source.facts()["devices"])
     complain(f"listening on {address} for {names}", "live")
+    if args.sensors is None and network == "imuposer" and not args.devices:
+        # At once, not among the notes at the end: it may run for hours.
+        complain(f"imuposer sees {', '.join(source.sensors)}; --sensors chooses others", "note")
     if not address.is_local:
         complain(f"whoever reaches {address} can send poses", "live")
     if args.calibration in ("n", "t"):

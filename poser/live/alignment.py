@@ -162,9 +162,13 @@ def _still(raw: RawRecording) -> bool:
 
 
 def raw_recording(rows: Sequence[Row], sensors: tuple[str, ...], rate_hz: float) -> RawRecording:
-    """Rows as a raw recording: acc = R^T (a + g e_y), gyr_t = Log(R_{t-1}^T R_t) rate."""
+    """Rows as a raw recording: acc = R^T (a + g e_y), gyr_t = Log(R_{t-1}^T R_t) rate.
+
+    Where a sensor sent no acceleration, a = 0: rows are looked at for a wearer who stands still.
+    """
     R = np.array([r.R_world_sensor for r in rows])
-    acc = np.einsum("tsji,tsj->tsi", R, np.array([r.acc_world for r in rows]) + UP_G)
+    a = np.nan_to_num(np.array([r.acc_world for r in rows]))
+    acc = np.einsum("tsji,tsj->tsi", R, a + UP_G)
     gyr = np.empty_like(acc)
     gyr[1:] = ori.log(np.swapaxes(R[:-1], -1, -2) @ R[1:]) * rate_hz
     gyr[0] = gyr[1]

@@ -93,6 +93,11 @@ class _Stream:
         assert packet.R_world_sensor is not None and packet.acc_world is not None
         counts = self.counts
         counts.received += 1
+        # A packet whose time is refused below was not lost on its way.
+        number, order = None, "next"
+        if packet.seq is not None:
+            number, order = self.numbers.hear(packet.seq)
+            counts.lost = self.numbers.lost
         word = self.clock.hear(packet.time_s, arrival_s, since_s)
         if word == "doubtful":
             counts.clock += 1
@@ -100,11 +105,9 @@ class _Stream:
         if word == "jumped":
             counts.jumps += 1
             self.kept.clear()
+            if packet.seq is not None and order == "duplicate":
+                number, order = self.numbers.restart(packet.seq), "next"
         self.heard_s = arrival_s
-        number, order = None, "next"
-        if packet.seq is not None:
-            number, order = self.numbers.hear(packet.seq)
-            counts.lost = self.numbers.lost
         i = bisect_right(self.kept, packet.time_s, key=_time)
         if order == "duplicate" or (i and packet.time_s - self.kept[i - 1].time_s < SAME_S):
             counts.duplicates += 1

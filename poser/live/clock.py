@@ -97,7 +97,7 @@ class PacketNumbers:
         if step > SEQUENCE_MODULUS // 2:
             step -= SEQUENCE_MODULUS
         if not self._heard or not -MAX_MISORDER < step < MAX_DROPOUT:
-            return self._start(seq), "next"
+            return self.restart(seq), "next"
         number = self._highest + step
         if number in self._recent:
             return number, "duplicate"
@@ -109,7 +109,8 @@ class PacketNumbers:
         self._highest = number
         return number, "next"
 
-    def _start(self, seq: int) -> int:
+    def restart(self, seq: int) -> int:
+        """The number of a packet with which the device has begun to count again."""
         self._lost_before = self.lost
         # Counts on from above all earlier numbers, so that no number stands for two packets.
         number = self._highest + SEQUENCE_MODULUS

@@ -6,8 +6,10 @@ moves is in a hand, one with a dark screen and a covered proximity sensor is in 
 a worn watch tells which side, else the owner's preference. What the paper leaves open: "moves" is a turn
 of more than MOVING_RAD within a second, and lasts STILL_S after it; a pocket's side is read from how near
 the watch comes (a hand swings past its own pocket, but may reach anywhere); a dark, uncovered, moving
-phone stays where it was; a change counts once it has lasted HOLD_S. Nothing here tells a phone held to
-the ear: without the call's state it looks like one in a pocket.
+phone stays where it was; a change counts once it has lasted HOLD_S. A distance counts for DISTANCE_S,
+since ranging goes on for as long as both devices are near; screen and proximity are told when they change,
+so that the last word holds, however old. Nothing here tells a phone held to the ear: without the call's
+state it looks like one in a pocket.
 
 `step` is a pure function over an explicit state; `Tracker` feeds it from rows and messages.
 """
@@ -40,6 +42,7 @@ HAND_M = 0.3  # watch to phone: 0.1 m in the same hand, 0.5 m and more in the ot
 POCKET_M = (
     0.34  # watch to phone at the nearest: 0.21 to 0.28 m on the same side, 0.38 to 0.45 m across
 )
+DISTANCE_S = 10.0  # after the last distance the owner's preference holds again
 SMOOTH_S = 0.3  # distances by radio scatter by a decimetre
 NEAREST = 0.2  # the quantile that stands for "the nearest"
 WINDOW_S = 10.0
@@ -57,7 +60,8 @@ class Preferences:
 
 @dataclass(frozen=True)
 class Seen:
-    """One device at one moment. moving: turned within the last second. to_watch_m: phone only."""
+    """One device at one moment. moving: turned within the last second. to_watch_m: phone only, None where
+    no distance is known."""
 
     connected: bool = False
     moving: bool = False
@@ -117,7 +121,7 @@ def _note(device: Device, what: Seen, time_s: float, dt: float) -> Device:
     if what.moving:
         device = replace(device, moved_s=time_s)
     if what.to_watch_m is None:
-        return device
+        return replace(device, smoothed_m=None, distances_m=(), kept_s=-np.inf)
     old = device.smoothed_m
     share = 1.0 if old is None else 1.0 - np.exp(-max(dt, 0.0) / SMOOTH_S)
     smooth = what.to_watch_m if old is None else old + share * (what.to_watch_m - old)
@@ -179,6 +183,8 @@ class Tracker:
         self._state = State()
         self._recent: deque[Row] = deque(maxlen=max(2, round(rate_hz) + 1))
         self._status: dict[str, Status] = {}
+        self._to_watch_m: float | None = None  # of the phone, by whichever of the two measured
+        self._measured_s: float | None = None  # time of the first row since then
         self.changes = 0
 
     @property
@@ -187,12 +193,23 @@ class Tracker:
         return self._state.where
 
     def hear(self, device: str, status: Status) -> None:
-        """The newest status of a device."""
-        self._status[device] = status
+        """What a device says of itself; where it says nothing of something, its last word holds."""
+        old = self._status.get(device, Status())
+        self._status[device] = Status(
+            old.screen if status.screen is None else status.screen,
+            old.proximity if status.proximity is None else status.proximity,
+        )
+        other = {PHONE: WATCH, WATCH: PHONE}.get(device, "")
+        if other in status.distances:
+            self._to_watch_m, self._measured_s = status.distances[other], None
 
     def step(self, row: Row, devices: Sequence[str]) -> dict[str, str]:
         """The places after this row, whose devices are in the order of `devices`."""
         self._recent.append(row)
+        if self._measured_s is None:
+            self._measured_s = row.time_s
+        if row.time_s - self._measured_s > DISTANCE_S:
+            self._to_watch_m = None
         seen = {name: self._seen(name, d) for d, name in enumerate(devices)}
         before = self.where
         self._state = step(self._state, row.time_s, seen, self._owner)
@@ -202,9 +219,7 @@ class Tracker:
     def _seen(self, name: str, d: int) -> Seen:
         valid = [r.R_world_sensor[d] for r in self._recent if r.valid[d]]
         status = self._status.get(name, Status())
-        distance = status.distances.get(WATCH)
-        if name == PHONE and distance is None:
-            distance = self._status.get(WATCH, Status()).distances.get(PHONE)
+        distance = self._to_watch_m if name == PHONE else None
         return Seen(bool(valid), _turns(valid), status.screen, status.proximity, distance)
 
 

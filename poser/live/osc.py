@@ -15,12 +15,18 @@ from poser.live.packets import (
     MAX_ACC,
     MAX_DATAGRAM,
     MAX_DISTANCES,
+    MAX_MESSAGES,
     Packet,
     Rejected,
     from_fields,
 )  # fmt: skip
 
 IMU, STATE = "/poser/imu", "/poser/state"
+_BUNDLE = b"#bundle\0"
+_BUNDLE_HEAD = 16  # bytes: the word and a time
+_MAX_ARGUMENTS = 4 + 2 * MAX_DISTANCES
+# The library logs each type that it does not know, which takes long: thousands fit into a datagram.
+_TYPES = frozenset(b",sdfihTFN")
 
 
 def library() -> Any:
@@ -43,36 +49,70 @@ def _quiet() -> None:
 
 
 def from_osc(datagram: bytes) -> Iterator[Packet | Rejected]:
-    """The packets of a datagram: one message, or bundles of them; other addresses are refused."""
-    from pythonosc.osc_packet import OscPacket
+    """The packets of a datagram: one message, or bundles of them; other addresses are refused.
 
+    A bundle whose parts do not fit counts as one refusal, and so does what follows the first MAX_MESSAGES
+    messages and bundles.
+    """
     _quiet()
     if len(datagram) > MAX_DATAGRAM:
         yield Rejected("datagram too long")
         return
-    try:
-        messages = [
-            (m.message.address, list(m.message.params)) for m in OscPacket(datagram).messages
-        ]
-    # The library promises ParseError, but bytes from the network also find its struct.error, IndexError,
-    # UnicodeDecodeError and RecursionError: whatever it is, this datagram is not OSC.
-    except Exception:
-        messages = []
-    if not messages:
-        yield Rejected("not OSC")
-    for address, arguments in messages:
+    waiting, taken = [datagram], 0
+    while waiting:
+        part = waiting.pop()
+        taken += 1
         try:
-            yield _packet(address, arguments)
+            if taken > MAX_MESSAGES:
+                waiting = []
+                raise Rejected("too many messages")
+            if part.startswith(_BUNDLE):
+                waiting += reversed(_parts(part))
+            else:
+                yield _packet(part)
         except Rejected as e:
             yield e
 
 
-def _packet(address: str, arguments: list[Any]) -> Packet:
-    if address == IMU:
-        return from_fields(_imu(arguments))
-    if address == STATE:
-        return from_fields(_state(arguments))
-    raise Rejected("address unknown")
+def _parts(bundle: bytes) -> list[bytes]:
+    """The messages and bundles in a bundle, in order. Raises Rejected.
+
+    Not by the library, which never ends on a size below zero.
+    """
+    parts, at = [], _BUNDLE_HEAD
+    while at < len(bundle):
+        begin = at + 4
+        at = begin + int.from_bytes(bundle[at:begin], "big", signed=True)
+        if not begin < at <= len(bundle):
+            raise Rejected("not OSC")
+        parts.append(bundle[begin:at])
+    if not parts:
+        raise Rejected("not OSC")
+    return parts
+
+
+def _packet(message: bytes) -> Packet:
+    """The packet of one message. Raises Rejected."""
+    from pythonosc.osc_message import OscMessage
+
+    address, ended, _ = message.partition(b"\0")
+    if not (address.startswith(b"/") and ended):
+        raise Rejected("not OSC")
+    if address not in (IMU.encode(), STATE.encode()):
+        raise Rejected("address unknown")
+    # Behind the address, which is filled up to a multiple of four bytes with one zero at least.
+    types, ended, _ = message[len(address) // 4 * 4 + 4 :].partition(b"\0")
+    if not (types.startswith(b",") and ended):
+        raise Rejected("not OSC")
+    if len(types) > 1 + _MAX_ARGUMENTS or not _TYPES.issuperset(types):
+        raise Rejected("wrong type")
+    try:
+        arguments = OscMessage(message).params
+    # The library promises ParseError, but bytes from the network also find its struct.error, IndexError
+    # and UnicodeDecodeError: whatever it is, this message is not OSC.
+    except Exception as e:
+        raise Rejected("not OSC") from e
+    return from_fields(_imu(arguments) if address == IMU.encode() else _state(arguments))
 
 
 def _imu(x: list[Any]) -> dict[str, Any]:

@@ -29,6 +29,7 @@ from mocap.errors import PoserError
 from mocap.orientation import Array
 
 MAX_DATAGRAM = 8192  # bytes; 17 sensors in one datagram take 2.5 kB
+MAX_MESSAGES = 64  # in a datagram: a suit has 17 sensors, and each message costs time
 MAX_NAME = 64
 MAX_TIME_S = 1e11  # a clock in microseconds since 1970 sent as seconds is refused
 MAX_ACC = 1000.0  # m/s^2; IMUs end at 160 to 320
@@ -72,17 +73,21 @@ class Packet:
 
 
 def from_json(datagram: bytes) -> Iterator[Packet | Rejected]:
-    """The packets of a datagram, line by line; a bad line does not spoil its neighbours."""
+    """The packets of a datagram, line by line; a bad line does not spoil its neighbours.
+
+    What follows the first MAX_MESSAGES lines is refused as one.
+    """
     if len(datagram) > MAX_DATAGRAM:
         yield Rejected("datagram too long")
         return
-    for line in datagram.splitlines():
-        if not line.strip():
-            continue
+    lines = [line for line in datagram.splitlines() if line.strip()]
+    for line in lines[:MAX_MESSAGES]:
         try:
             yield from_fields(_object(line))
         except Rejected as e:
             yield e
+    if len(lines) > MAX_MESSAGES:
+        yield Rejected("too many lines")
 
 
 def _object(line: bytes) -> dict[str, Any]:

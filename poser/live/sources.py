@@ -2,36 +2,25 @@
 
 from __future__ import annotations
 
-import select
-import socket
 import time
-from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap import orientation as ori
 from mocap.calibration import Calibration
-from mocap.errors import PoserError
 from mocap.estimator import Sample, samples
 from mocap.orientation import Array
 from mocap.recording import Recording
 from poser.live import alignment
-from poser.live.addresses import Address
 from poser.live.alignment import Constants, PoseWatch, to_sample
 from poser.live.assembler import Assembler, Row
 from poser.live.devices import Tracker
-from poser.live.packets import MAX_DATAGRAM, Packet, Rejected
+from poser.live.receiver import Clock, Receiver
 
 IDLE_S = 0.002  # the longest wait for something to happen, so that rows leave on time
 SOON_S = 1e-6  # a sample this near its time is due: sleeping for less is no sleep
-DATAGRAMS = 1000  # taken at a time: a flood must not keep rows from leaving
-RECEIVE_BYTES = 4 << 20  # asked for: some seconds of a suit at 100 Hz
-Decoder = Callable[[bytes], Iterator[Packet | Rejected]]
-Clock = Callable[[], float]
 
 
 class Source(Protocol):
@@ -143,72 +132,6 @@ class Replay:
 
     def close(self) -> None:
         self._samples = iter(())
-
-
-def y_up(decode: Decoder) -> Decoder:
-    """The same messages from senders whose world is z-up: v_yup = R_YUP_ZUP v_zup."""
-
-    def turned(datagram: bytes) -> Iterator[Packet | Rejected]:
-        for found in decode(datagram):
-            if isinstance(found, Packet) and found.R_world_sensor is not None:
-                assert found.acc_world is not None
-                R, acc = ori.R_YUP_ZUP @ found.R_world_sensor, ori.R_YUP_ZUP @ found.acc_world
-                yield replace(found, R_world_sensor=R, acc_world=acc)
-            else:
-                yield found
-
-    return turned
-
-
-class Receiver:
-    """Datagrams of a UDP socket, decoded; refused ones are counted by reason and never stop it."""
-
-    def __init__(self, address: Address, decode: Decoder, clock: Clock = time.monotonic):
-        family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
-        self._socket = socket.socket(family, socket.SOCK_DGRAM)
-        self._socket.setblocking(False)
-        # A machine that stops for a second must not lose what arrives meanwhile; the system caps it.
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BYTES)
-        self._address, self._decode, self._clock = address, decode, clock
-        self._empty_s: float | None = None  # when nothing was left to take
-        self.rejected: Counter[str] = Counter()
-
-    def open(self) -> None:
-        """Listen. Raises PoserError where the address is taken or is not ours."""
-        try:
-            self._socket.bind((self._address.host, self._address.port))
-        except OSError as e:
-            raise PoserError(f"cannot listen on {self._address}: {e.strerror or e}") from e
-
-    @property
-    def port(self) -> int:
-        return int(self._socket.getsockname()[1])
-
-    def receive(self, wait_s: float) -> Iterator[tuple[Packet, float, float | None]]:
-        """Packets, when they were found, and when they had not come yet (None before the first look).
-
-        Waits for the first one at most `wait_s`.
-        """
-        select.select([self._socket], [], [], wait_s)
-        for _ in range(DATAGRAMS):
-            try:
-                datagram = self._socket.recv(MAX_DATAGRAM + 1)
-            except BlockingIOError:
-                self._empty_s = self._clock()
-                return
-            except OSError:
-                # Some systems report an earlier send's failure here; it is not about what we receive.
-                self.rejected["receive error"] += 1
-                return
-            arrival = self._clock()
-            for found in self._decode(datagram):
-                if isinstance(found, Rejected):
-                    self.rejected[found.reason] += 1
-                else:
-                    yield found, arrival, self._empty_s
-
-    def close(self) -> None:
-        self._socket.close()
 
 
 class Network:

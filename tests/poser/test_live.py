@@ -17,11 +17,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mocap import formats
+from mocap import formats, sensors, synthesis
 from mocap.formats import native
 from mocap.motion import Motion
 from mocap.recording import Recording
 from poser import estimators as the_estimators
+from poser import motions
 from poser.__main__ import main
 from tests.poser.live.conftest import estimators  # noqa: F401 (a fixture)
 
@@ -30,6 +31,13 @@ from tests.poser.live.conftest import estimators  # noqa: F401 (a fixture)
 def live(estimators: Any, folder: Path) -> Path:  # noqa: F811
     """The six noisy sensors of the built-in walk; the estimator is the test's own."""
     return folder / "rec" / "walk.npz"
+
+
+@pytest.fixture
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as s:
+        s.bind(("127.0.0.1", 0))
+        return int(s.getsockname()[1])
 
 
 def test_replay_to_a_file(live: Path, tmp_path: Path, answer: Any, estimators: Any) -> None:  # noqa: F811
@@ -85,13 +93,23 @@ def test_the_answer_for_people(live: Path, capsys: pytest.CaptureFixture[str]) -
 
 @pytest.mark.parametrize("kind", ["udp", "osc"])
 def test_a_source_that_ends_without_samples_has_a_record_too(
-    live: Path, tmp_path: Path, answer: Any, capsys: pytest.CaptureFixture[str], kind: str
+    free_port: int,
+    tmp_path: Path,
+    answer: Any,
+    capsys: pytest.CaptureFixture[str],
+    kind: str,
+    live: Path,
 ) -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as s:
-        s.bind(("127.0.0.1", 0))
-        port = s.getsockname()[1]
     out = tmp_path / "m.npz"
-    words = ["live", "--source", f"{kind}:{port}", "--calibration", "bones", "--seconds", "0.1"]
+    words = [
+        "live",
+        "--source",
+        f"{kind}:{free_port}",
+        "--calibration",
+        "bones",
+        "--seconds",
+        "0.1",
+    ]
     facts = answer(*words, "--sink", out)
     assert (facts["samples"], facts["frames"], facts["behind_s"]) == (0, 0, 0)
     assert facts["latency_ms_p50"] is facts["frame_ms_p99"] is None
@@ -106,6 +124,30 @@ def test_the_hybrid_s_network(live: Path, answer: Any, estimators: Any) -> None:
     facts = answer("live", "--source", live, "--speed", "max", "--network", "dip")
     assert (facts["method"], facts["network"]) == ("hybrid", "dip")
     assert estimators[0][0] == "hybrid"
+
+
+@pytest.mark.parametrize(
+    ("words", "expected", "noted"),
+    [
+        (("--network", "imuposer"), ("left_wrist", "right_pocket", "head"), True),
+        (("--method", "imuposer"), ("left_wrist", "right_pocket", "head"), True),
+        (("--method", "imuposer", "--sensors", "head"), ("head",), False),
+        (("--network", "imuposer", "--devices", "left,right,left"), sensors.FIVE, False),
+        (("--method", "dip"), sensors.SIX, False),
+    ],
+)
+def test_the_default_sensors_from_the_network(
+    free_port: int,
+    estimators: Any,  # noqa: F811
+    capsys: pytest.CaptureFixture[str],
+    words: tuple[str, ...],
+    expected: tuple[str, ...],
+    noted: bool,
+) -> None:
+    source = ("--source", f"udp:{free_port}", "--calibration", "bones", "--seconds", "0.01")
+    assert main(["live", *source, *words]) == 0
+    assert estimators[0][2] == expected
+    assert ("note: imuposer sees" in capsys.readouterr().err) is noted
 
 
 @pytest.mark.parametrize(
@@ -129,7 +171,16 @@ def test_the_hybrid_s_network(live: Path, answer: Any, estimators: Any) -> None:
         (("--source", "{rec}", "--sink", "out.txt"), 2, "must end in .npz or .bvh"),
         (("--source", "{rec}", "--sink", "vmc:port"), 2, "is not PORT"),
         (("--source", "{rec}", "--sensors", "five"), 1, "not in the recording"),
-        (("--source", "udp:9000", "--method", "imuposer"), 1, "choose with --sensors"),
+        (
+            ("--source", "udp:9000", "--method", "imuposer", "--sensors", "five"),
+            1,
+            "choose with --sensors",
+        ),
+        (
+            ("--source", "udp:9000", "--devices", "left,right,left", "--sensors", "six"),
+            2,
+            "no device is ever tracked at left_forearm, right_forearm, left_shank, right_shank, pelvis; ",
+        ),
         (
             ("--source", "{rec}", "--method", "dip", "--network", "imuposer"),
             1,
@@ -158,6 +209,18 @@ estimators.make = lambda method, rate_hz, sensors, **_: Hold(rate_hz, sensors)
 from poser.__main__ import main
 sys.exit(main(None))
 """
+
+
+def test_a_recording_of_all_five_places_needs_no_choice(
+    tmp_path: Path,
+    estimators: Any,  # noqa: F811
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    path = tmp_path / "five.npz"
+    native.write_recording(path, synthesis.recording(motions.walk(3.0), sensors.FIVE))
+    assert main(["live", "--source", str(path), "--speed", "max", "--method", "imuposer"]) == 0
+    assert estimators[0][2] == ("left_wrist", "right_pocket", "head")
+    assert "note: imuposer sees left_wrist, right_pocket, head" in capsys.readouterr().err
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals")

@@ -66,6 +66,32 @@ def test_the_pose_at_the_start_calibrates(raw: RawRecording) -> None:
     assert np.rad2deg(off).max() < 12
 
 
+@pytest.mark.parametrize("silent", ["all", "head"])
+def test_the_pose_calibrates_from_orientations_alone(raw: RawRecording, silent: str) -> None:
+    """Without `a` the sensors are turned the same; the wearer sways too little to matter."""
+    mute = np.array([silent in ("all", n) for n in raw.sensors])
+    full, less = (
+        PoseWatch(raw.sensors, raw.rate_hz, "n", facing_deg=FACING, begin_s=0.2) for _ in "ab"
+    )
+    for row in rows(raw):
+        acc = np.where(mute[:, None], np.nan, row.acc_world)
+        expected, found = full.push(row), less.push(replace(row, acc_world=acc))
+        assert (expected is None) == (found is None)
+        if found is not None:
+            break
+    assert expected is not None and found is not None
+    off = ori.angle_between(found.R_bone_sensor, expected.R_bone_sensor)
+    assert np.rad2deg(off).max() < 0.01
+    assert found.acc_scale[mute] == pytest.approx(1.0, abs=2e-3)
+    assert found.acc_scale[~mute] == pytest.approx(expected.acc_scale[~mute])
+    sample = to_sample(
+        replace(row, acc_world=acc), raw.sensors, {n: n for n in raw.sensors}, raw.sensors,
+        alignment.constants(found),
+    )  # fmt: skip
+    assert sample.valid.all() and np.isfinite(sample.R_world_bone).all()
+    assert np.isnan(sample.acc_world[mute]).all()
+
+
 def test_nobody_stands_still(raw: RawRecording) -> None:
     watch = PoseWatch(raw.sensors, raw.rate_hz, "n", begin_s=2.6, give_up_s=1.8)
     with pytest.raises(CalibrationError, match="nobody stood still"):

@@ -161,6 +161,24 @@ def test_a_clock_jump_costs_half_a_second(jump: float) -> None:
     assert_true(rows[130:200], tolerance=1e-5)
 
 
+def test_packets_refused_for_their_clock_are_not_lost() -> None:
+    jump = [(k / RATE, packet("a", k / RATE, k, 0.0 if k < 300 else 1000.0)) for k in range(600)]
+    box, _ = run(jump)
+    counts = box.counts["a"]
+    assert (counts.received, counts.lost, counts.jumps) == (600, 0, 1)
+    assert 0.5 * RATE <= counts.clock < 0.6 * RATE
+
+
+def test_a_device_that_starts_again_is_used_again() -> None:
+    """Its clock and its numbers begin anew: the numbers that it sent before are no duplicates."""
+    again = [(2.0 + t, p) for t, p in steady(100)]
+    box, rows = run(steady(100) + again)
+    counts = box.counts["a"]
+    assert (counts.jumps, counts.lost) == (1, 0)
+    valid = np.array([r.valid[0] for _, r in rows[:200]])
+    assert valid[:100].all() and valid[128:].all()
+
+
 def test_one_packet_of_another_time_does_not_move_the_clock() -> None:
     for stray in (1e6, -1e6, 5.0, -5.0):
         odd = [(k / RATE + 0.001, packet("a", k / RATE, None, stray)) for k in (30, 31, 60)]

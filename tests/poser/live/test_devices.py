@@ -11,6 +11,7 @@ from mocap import orientation as ori
 from poser.live import device_study as study
 from poser.live.assembler import Row
 from poser.live.devices import (
+    DISTANCE_S,
     EARBUDS,
     HOLD_S,
     PHONE,
@@ -150,3 +151,37 @@ def test_the_tracker_reads_rows_and_messages() -> None:
         where = tracker.step(row, devices)
     assert where == {EARBUDS: "head"}
     assert tracker.changes > changes
+
+
+def places_over(tracker: Tracker, begin_s: float, end_s: float) -> dict[str, str]:
+    """Where the devices are at the end; watch and phone turn slowly all the while."""
+    where: dict[str, str] = {}
+    for k in range(round(begin_s * 25), round(end_s * 25)):
+        R = ori.rot_z(np.deg2rad([1.0, 3.0, 0.0]) * k / 25)
+        row = Row(k / 25, R, np.zeros((3, 3)), np.array([True, True, False]))
+        where = tracker.step(row, (WATCH, PHONE, EARBUDS))
+    return where
+
+
+@pytest.mark.parametrize("told_by", [WATCH, PHONE])
+def test_a_distance_expires_and_the_preference_holds_again(told_by: str) -> None:
+    """The status stays: the phone is in a pocket as long as it says nothing else."""
+    tracker = Tracker(OWNER, rate_hz=25.0)
+    tracker.hear(PHONE, Status(screen=False, proximity=True))
+    other = WATCH if told_by == PHONE else PHONE
+    tracker.hear(told_by, Status(distances={other: 0.45}))
+    assert places_over(tracker, 0.0, DISTANCE_S)[PHONE] == "right_pocket"
+    assert places_over(tracker, DISTANCE_S, DISTANCE_S + 1.0)[PHONE] == "left_pocket"
+    assert places_over(tracker, DISTANCE_S + 1.0, 60.0)[PHONE] == "left_pocket"
+    # Distances that come again count again, from when they are heard.
+    tracker.hear(told_by, Status(distances={other: 0.45}))
+    assert places_over(tracker, 60.0, 62.0)[PHONE] == "right_pocket"
+
+
+def test_a_message_without_a_field_says_nothing_about_it() -> None:
+    tracker = Tracker(OWNER, rate_hz=25.0)
+    tracker.hear(PHONE, Status(screen=False, proximity=True, distances={WATCH: 0.45}))
+    tracker.hear(PHONE, Status(screen=False))
+    assert places_over(tracker, 0.0, 2.0)[PHONE] == "right_pocket"
+    tracker.hear(PHONE, Status(screen=True))
+    assert places_over(tracker, 2.0, 4.0)[PHONE] == "right_wrist"

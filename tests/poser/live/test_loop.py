@@ -21,8 +21,9 @@ from mocap.skeleton import Skeleton
 from poser.live import loop, osc, packets, telling
 from poser.live.addresses import Address
 from poser.live.assembler import Assembler
+from poser.live.receiver import Receiver, y_up
 from poser.live.sinks import MotionFile
-from poser.live.sources import Network, Receiver, Replay, y_up
+from poser.live.sources import Network, Replay
 from tests.poser.live.conftest import Hold, packets_of
 
 BODY = Skeleton.default()

@@ -17,7 +17,7 @@ from poser.live.packets import Packet, Rejected
 GOOD: dict[str, Any] = {"device": "head", "t": 3.5, "q": [1, 0, 0, 0], "a": [0, 9, 0], "seq": 7}
 REASONS = {
     "datagram too long", "not JSON", "not an object", "field missing", "wrong type", "not finite",
-    "out of range", "not a unit quaternion",
+    "out of range", "not a unit quaternion", "too many lines",
 }  # fmt: skip
 
 
@@ -105,6 +105,19 @@ def test_a_bad_line_does_not_spoil_its_neighbours() -> None:
     good = json.dumps(GOOD).encode()
     kinds = [type(p) for p in decoded(good + b"\nnonsense\n\n" + good)]
     assert kinds == [Packet, Rejected, Packet]
+
+
+def test_lines_of_a_datagram_are_bounded() -> None:
+    """What is beyond the 64th costs nothing and counts once: 4096 lines fit into a datagram."""
+    taken = decoded(b"1\n" * 4096)
+    assert len(taken) == packets.MAX_MESSAGES + 1
+    assert all(isinstance(f, Rejected) for f in taken)
+    assert [f.reason for f in taken[-2:]] == ["not an object", "too many lines"]  # type: ignore[union-attr]
+    small = b'{"device":"a","t":0,"q":[1,0,0,0]}\n'
+    assert all(isinstance(f, Packet) for f in decoded(b"\n" + small * 64))
+    *good, last = decoded(small * 65)
+    assert len(good) == 64 and all(isinstance(f, Packet) for f in good)
+    assert isinstance(last, Rejected) and last.reason == "too many lines"
 
 
 leaves = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8)

@@ -9,6 +9,7 @@ import pytest
 from pythonosc.osc_packet import OscPacket
 
 from mocap import orientation as ori
+from mocap.errors import PoserError
 from mocap.estimator import Pose
 from mocap.skeleton import JOINTS, Skeleton
 from poser import motions
@@ -100,6 +101,47 @@ def test_the_sink_sends_and_survives_a_missing_receiver(pose: Pose) -> None:
     for _ in range(3):
         sink.write(pose)
     assert sink.close()["sent"] >= count
-    lost = vmc.VmcSink(Address("no.such.host.invalid", 39539), BODY)
-    lost.write(pose)
-    assert lost.close() == {"sent": 0, "failures": count}
+
+
+def test_a_host_is_looked_up_once(pose: Pose, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By its IPv4 address where it has one."""
+    asked: list[tuple[object, ...]] = []
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(("127.0.0.1", 0))
+        receiver.settimeout(2.0)
+        port = receiver.getsockname()[1]
+
+        def found(*args: object, **_: object) -> list[tuple[object, ...]]:
+            asked.append(args)
+            kinds = (socket.SOCK_DGRAM, socket.IPPROTO_UDP, "")
+            six = (socket.AF_INET6, *kinds, ("::1", port, 0, 0))
+            return [six, (socket.AF_INET, *kinds, ("127.0.0.1", port))]
+
+        monkeypatch.setattr(socket, "getaddrinfo", found)
+        # A name that the system does not know: any other look-up of it would fail.
+        sink = vmc.VmcSink(Address("performer.invalid", port), BODY)
+        for _ in range(2):
+            sink.write(pose)
+        count = 2 * len(vmc.datagrams(pose, BODY))
+        assert len(received([receiver.recv(4096) for _ in range(count)])[vmc.BONE]) == 44
+        assert sink.close() == {"sent": count, "failures": 0}
+    assert asked == [("performer.invalid", port)]
+
+
+def test_a_host_of_ipv6_alone(pose: Pose, monkeypatch: pytest.MonkeyPatch) -> None:
+    kinds = (socket.SOCK_DGRAM, socket.IPPROTO_UDP, "")
+    entry = (socket.AF_INET6, *kinds, ("::1", 39539, 0, 0))
+    monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: [entry])
+    assert vmc._resolved(Address("six.invalid", 39539), "vmc") == (socket.AF_INET6, entry[4])
+
+
+@pytest.mark.parametrize(
+    "error", [socket.gaierror(-2, "not known"), UnicodeError("label too long")]
+)
+def test_an_unknown_host_is_one_sentence(monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr(socket, "getaddrinfo", fail)
+    with pytest.raises(PoserError, match=r"^vmc:nosuchhost.invalid:39539: the host is unknown$"):
+        vmc.VmcSink(Address("nosuchhost.invalid", 39539), BODY)

@@ -1,0 +1,102 @@
+"""Datagrams from the network, decoded: the socket of `poser live`."""
+
+from __future__ import annotations
+
+import select
+import socket
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+from mocap import orientation as ori
+from mocap.errors import PoserError
+from poser.live.addresses import Address
+from poser.live.packets import MAX_DATAGRAM, Packet, Rejected
+
+RECEIVE_BYTES = 4 << 20  # asked for: some seconds of a suit at 100 Hz
+# A flood must not keep rows from leaving: a look at the socket ends after POLL_S, and after a stop of the
+# loop CATCH_UP of that time later, in which a suit's packets of the whole stop can be taken (20 us each).
+POLL_S = 0.005
+CATCH_UP = 0.1
+Decoder = Callable[[bytes], Iterator[Packet | Rejected]]
+Clock = Callable[[], float]
+
+
+def y_up(decode: Decoder) -> Decoder:
+    """The same messages from senders whose world is z-up: v_yup = R_YUP_ZUP v_zup."""
+
+    def turned(datagram: bytes) -> Iterator[Packet | Rejected]:
+        for found in decode(datagram):
+            if isinstance(found, Packet) and found.R_world_sensor is not None:
+                assert found.acc_world is not None
+                R, acc = ori.R_YUP_ZUP @ found.R_world_sensor, ori.R_YUP_ZUP @ found.acc_world
+                yield replace(found, R_world_sensor=R, acc_world=acc)
+            else:
+                yield found
+
+    return turned
+
+
+class Receiver:
+    """Datagrams of a UDP socket, decoded; refused ones are counted by reason and never stop it."""
+
+    def __init__(self, address: Address, decode: Decoder, clock: Clock = time.monotonic):
+        family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
+        self._socket = socket.socket(family, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        # A machine that stops for a second must not lose what arrives meanwhile; the system caps it.
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BYTES)
+        self._address, self._decode, self._clock = address, decode, clock
+        self._empty_s: float | None = None  # when nothing was left to take
+        self._left_s = clock()  # when the last look ended
+        self.rejected: Counter[str] = Counter()
+
+    def open(self) -> None:
+        """Listen. Raises PoserError where the address is taken or is not ours."""
+        try:
+            self._socket.bind((self._address.host, self._address.port))
+        except OSError as e:
+            raise PoserError(f"cannot listen on {self._address}: {e.strerror or e}") from e
+        self._left_s = self._clock()
+
+    @property
+    def port(self) -> int:
+        return int(self._socket.getsockname()[1])
+
+    def receive(self, wait_s: float) -> Iterator[tuple[Packet, float, float | None]]:
+        """Packets, when they were found, and when they had not come yet (None before the first look).
+
+        Waits for the first one at most `wait_s`. Ends when the socket is empty, or POLL_S and CATCH_UP of the
+        time since the last look later; then the rest is for the next look. What the caller does with a packet
+        counts.
+        """
+        select.select([self._socket], [], [], wait_s)
+        now = self._clock()
+        until = now + POLL_S + CATCH_UP * (now - self._left_s)
+        yield from self._take(until)
+        self._left_s = self._clock()
+
+    def _take(self, until_s: float) -> Iterator[tuple[Packet, float, float | None]]:
+        """What waits in the socket: at least one datagram, and no further one from `until_s` on."""
+        while True:
+            try:
+                datagram = self._socket.recv(MAX_DATAGRAM + 1)
+            except BlockingIOError:
+                self._empty_s = self._clock()
+                return
+            except OSError:
+                # Some systems report an earlier send's failure here; it is not about what we receive.
+                self.rejected["receive error"] += 1
+                return
+            arrival = self._clock()
+            for found in self._decode(datagram):
+                if isinstance(found, Rejected):
+                    self.rejected[found.reason] += 1
+                else:
+                    yield found, arrival, self._empty_s
+            if self._clock() >= until_s:
+                return
+
+    def close(self) -> None:
+        self._socket.close()
