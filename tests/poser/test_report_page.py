@@ -31,6 +31,10 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_page_needs_nothing_from_outside(page: Path) -> None:
     text = page.read_text()
     assert not re.findall(r"(?:src|href)\s*=\s*[\"']?(?!data:|#)[a-z]", text, flags=re.IGNORECASE)
+    # Nor styles and scripts: the only address in the page is the name of SVG.
+    assert set(re.findall(r"\w+://[^\s\"'<>)]+", text)) <= {"http://www.w3.org/2000/svg"}
+    ways = r"@import|url\((?!data:|#)|\bfetch\(|XMLHttpRequest|WebSocket|EventSource|importScripts|\bimport\("
+    assert not re.findall(ways, text)
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
