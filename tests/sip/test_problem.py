@@ -71,7 +71,8 @@ def away(
     return problem, problem.point(x + rng.normal(size=x.shape) * size, R_ref, u)
 
 
-@pytest.mark.parametrize("variant", VARIANTS, ids=str)
+# By the settings' names: the text of a function differs from process to process.
+@pytest.mark.parametrize("variant", VARIANTS, ids=lambda v: "+".join(v) or "default")
 @pytest.mark.parametrize("names", [sensors.SIX, ("head",), ("left_wrist", "right_pocket", "head")])
 def test_gradient_and_gauss_newton_matrix(
     rng: np.random.Generator, wide, variant: dict, names: tuple[str, ...]
