@@ -49,6 +49,7 @@ bench: $(STAMP)
 	$(BIN)/python benchmarks/speed.py --memory
 	$(BIN)/python benchmarks/networks.py
 	$(BIN)/python benchmarks/networks.py --refinement
+	$(BIN)/python benchmarks/networks.py --whole
 	$(BIN)/python benchmarks/qp.py
 
 bench-split: $(STAMP)

@@ -10,6 +10,7 @@ import time
 import zlib
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -51,6 +52,11 @@ def machine() -> str:
 def seed_of(name: str) -> int:
     """The noise of a clip depends on its name alone."""
     return zlib.crc32(name.encode())
+
+
+def evenly(items: list[Any], count: int | None) -> list[Any]:
+    """`count` of them at equal steps, or all."""
+    return items if count is None else items[:: max(1, len(items) // count)][:count]
 
 
 def row(cells: Iterable[object], widths: Iterable[int]) -> str:

@@ -13,11 +13,12 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from common import machine, row
+from common import evenly, machine, row
 from methods import IMUPOSER_HZ, IMUPOSER_S, Run, imuposer_runs
 
 import hybrid
 from learned import checkpoint, deviations
+from learned.features import COMBINATIONS
 from learned.models import Imuposer
 from learned.refine import AdamEstimator
 from learned.validation import Windowed, cut_for, recordings
@@ -57,9 +58,9 @@ def main() -> None:
     ways: dict[str, dict[str, list[np.ndarray]]] = {}
     for s in people:
         (other,) = (p for p in people if p != s)
-        pairs = list(zip(of[other], learnt, strict=True))
+        pairs = [(of[other][k], learnt[k]) for k in range(len(COMBINATIONS))]
         made = {
-            "other person": of[other],
+            "other person": [a for a, _ in pairs],
             "training clips": [c * (a.trace() / c.trace()) for a, c in pairs],
             "both": [deviations.pooled(a, c) for a, c in pairs],
         }
@@ -73,8 +74,7 @@ def main() -> None:
 
     longest = 5.0 + IMUPOSER_S
     clips = list(dataset.clips("validation", ("cmu",), IMUPOSER_HZ, min_s=2.0, max_s=longest))
-    if args.clips:
-        clips = clips[:: max(1, len(clips) // args.clips)][: args.clips]
+    clips = evenly(clips, args.clips)
     for i, (name, clip) in enumerate(clips):
         s = dataset.subject_of(name)
         for run in imuposer_runs(name, clip, model):

@@ -10,9 +10,10 @@ Trained: dip-tables (Tables 2, 3: RNN and BiRNN with and without acceleration lo
 online), dip-networks (Tables 4, 5: feed-forward, WaveNet, no accelerations), normalisations (appendix C),
 share (25, 50, 100 % of the clips), hidden (64, 128, 256), augmentation (on, off), noise-gap (clean and noisy
 training against clean and noisy test), licence (with and without Bandai's clips), imuposer-limits (clips,
-units, augmentation, noise, Bandai), one-clip (learnt by heart), hybrid-share (the hybrid
-around the networks of share). Of given weights (--weights): dip-window (Fig. 6),
-dip-histogram (Fig. 5), imuposer-devices (Fig. 6), imuposer-regions (Fig. 8).
+units, augmentation, noise, Bandai), one-clip (learnt by heart), hybrid-share (the hybrid around the networks
+of share). Of given weights (--weights): dip-window (Fig. 6),
+dip-histogram (Fig. 5), dip-validation and imuposer-validation (validation clips of CMU and of Bandai),
+imuposer-devices (Fig. 6), imuposer-regions (Fig. 8).
 """
 
 from __future__ import annotations
@@ -35,17 +36,17 @@ from common import row
 from learned import checkpoint, corpus, deviations, online
 from learned.augmentation import Augmentation
 from learned.features import COMBINATIONS
-from learned.models import Model, for_network
+from learned.models import Dip, Model, for_network
 from learned.settings import TrainSettings
 from learned.train import Trainer
-from learned.validation import cut_for
+from learned.validation import cut_for, recordings, score
 from learned.virtual import Windows
 from mocap import Motion, dataset, sensors
 from mocap.errors import PoserError
-from mocap.estimator import replay
+from mocap.estimator import Estimator, replay
 from mocap.synthesis import Noise
+from poser.commands.train import BANDAI_STEP, SHARES
 
-SHARES = {"cmu": 0.65, "bandai": 0.35}  # of the training windows
 CLEAN = Noise.none()
 # Runs are short beside the papers': without it the last steps' noise is what is compared.
 COOLDOWN = 0.35
@@ -96,7 +97,8 @@ def _tables() -> list[Variant]:
 
 
 def _imuposer(name: str, corpora: tuple[str, ...] = ("cmu",), **changes: Any) -> Variant:
-    """CMU's clips alone where nothing else is said: what the shipped weights are trained on."""
+    """CMU's clips alone where nothing else is said, as `poser train` has it; limbs spliced, as it has not."""
+    changes = {"augmentation": Augmentation()} | changes
     return variant(name, corpora=corpora, network="imuposer", frames=125, **changes)
 
 
@@ -146,6 +148,12 @@ def training_clips(corpora: tuple[str, ...]) -> corpus.Corpus:
     return corpus.Corpus.join(parts, [SHARES[c] for c in corpora])
 
 
+def folder_of(name: str, what: Any, args: argparse.Namespace) -> Path:
+    """Named by what is trained: other settings are another run."""
+    said = json.dumps(what, sort_keys=True)
+    return Path(args.output / "runs" / f"{name}-{hashlib.sha256(said.encode()).hexdigest()[:10]}")
+
+
 def trained(v: Variant, args: argparse.Namespace) -> Model:
     """The best weights of a variant's run, trained where they are not there yet."""
     network = v.network
@@ -155,10 +163,9 @@ def trained(v: Variant, args: argparse.Namespace) -> Model:
                      "seed": args.seed, "every": args.every, "batch": args.batch,
                      "cooldown": COOLDOWN} | v.settings)
     )  # fmt: skip
-    # Named by what is trained: experiments that share a network train it once.
+    # Experiments that share a network train it once.
     what = [settings.to_json(), v.share] + ([v.corpora] if v.corpora != tuple(SHARES) else [])
-    said = json.dumps(what, sort_keys=True)
-    folder = args.output / "runs" / f"{network}-{hashlib.sha256(said.encode()).hexdigest()[:10]}"
+    folder = folder_of(network, what, args)
     clips = training_clips(v.corpora)
     if v.share < 1:
         clips = clips.subset(v.share, args.seed)
@@ -200,9 +207,11 @@ def rows_of_hybrid_share(args: argparse.Namespace) -> Iterable[dict[str, Any]]:
     held = cut_for("dip", on_split.recorded("validation", "dip", Noise()), args.windows)
     for v in TRAINED["share"]:
         model = trained(v, args)
+        assert isinstance(model, Dip)
         deviations.calibrate(model, held)
         dip = online.dip(model, 60.0, (20, 5), sensors.SIX)
-        for method, estimator in {"dip": dip, "hybrid": hybrid.Tracker(dip)}.items():
+        ways: dict[str, Estimator] = {"dip": dip, "hybrid": hybrid.Tracker(dip)}
+        for method, estimator in ways.items():
             motions = [replay(estimator, r).motion for r in tests]
             yield {"variant": v.name, "method": method} | on_split.measured(motions, tests)
 
@@ -218,7 +227,7 @@ def rows_of_one_clip(args: argparse.Namespace) -> Iterable[dict[str, Any]]:
     )  # fmt: skip
     clip = corpus.pack([("clip", recording.reference)])
     source = Windows(clip, config.sensors, config.rate_hz, settings.frames, settings.augmentation)
-    folder = args.output / "runs" / f"one-clip-{args.hidden}-{args.seed}"
+    folder = folder_of("one-clip", settings.to_json(), args)
     best = Trainer(settings, source, cut_for("dip", [recording], args.windows), folder).run()
     motions = on_split.dip_motions(checkpoint.load(best), [recording], (20, 5))
     yield {"frames": len(recording)} | on_split.measured(motions, [recording])
@@ -294,6 +303,18 @@ def rows_of_regions(model: Model) -> Iterable[dict[str, Any]]:
                "combinations": len(values)}  # fmt: skip
 
 
+def rows_of_validation(model: Model) -> Iterable[dict[str, Any]]:
+    """The validation clips of each collection, as training looks at them."""
+    for collection in SHARES:
+        paths = dataset.files("validation", (collection,))
+        paths = paths[::BANDAI_STEP] if collection == "bandai" else paths
+        held = cut_for(
+            model.config.network,
+            recordings(model.config.network, [(p.stem, dataset.load(p, None)) for p in paths]),
+        )
+        yield {"collection": collection, "clips": len(paths)} | score(model, held)
+
+
 OTHERS: dict[str, Callable[[argparse.Namespace], Iterable[dict[str, Any]]]] = {
     "one-clip": rows_of_one_clip,
     "hybrid-share": rows_of_hybrid_share,
@@ -301,6 +322,8 @@ OTHERS: dict[str, Callable[[argparse.Namespace], Iterable[dict[str, Any]]]] = {
 OF_WEIGHTS: dict[str, tuple[str, Callable[[Model], Iterable[dict[str, Any]]]]] = {
     "dip-window": ("dip", rows_of_window),
     "dip-histogram": ("dip", rows_of_histogram),
+    "dip-validation": ("dip", rows_of_validation),
+    "imuposer-validation": ("imuposer", rows_of_validation),
     "imuposer-devices": ("imuposer", rows_of_devices),
     "imuposer-regions": ("imuposer", rows_of_regions),
 }
@@ -317,8 +340,7 @@ def weights_for(network: str, args: argparse.Namespace) -> Model:
     if args.weights or path.exists():
         return loaded(path, network)
     print(f"no weights of {network}: one is trained", file=sys.stderr)
-    frames = {"frames": 125} if network == "imuposer" else {}
-    return trained(variant(network, network=network, **frames), args)
+    return trained(_imuposer(network) if network == "imuposer" else variant(network), args)
 
 
 def main() -> None:

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from common import machine, row, seed_of
+from common import evenly, machine, row, seed_of
 
 from mocap import Motion, dataset, metrics, noskill, sensors, synthesis
 from mocap.estimator import Pose, Sample, replay
@@ -335,8 +335,7 @@ def main() -> None:
             else (IMUPOSER_HZ, min(5.0 + IMUPOSER_S, args.seconds))
         )
         clips = list(dataset.clips(args.split, ("cmu",), rate, min_s=2.0, max_s=seconds))
-        if args.clips:
-            clips = clips[:: max(1, len(clips) // args.clips)][: args.clips]
+        clips = evenly(clips, args.clips)
         work = dip_clip if part == "dip" else imuposer_clip
         began = time.monotonic()
         results: list[dict[str, Any]] = []

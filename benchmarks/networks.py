@@ -4,6 +4,7 @@
     python benchmarks/networks.py --minutes 60  memory over an hour of streaming (small network, full speed)
     python benchmarks/networks.py --adam        learning rate of imuposer-adam, CMU validation clips
     python benchmarks/networks.py --refinement  a frame of the hybrid's refinement against ten Adam steps
+    python benchmarks/networks.py --whole       whole frames, sample to pose, of every online method
 
 Weights: the shipped ones, others with --dip FILE, --imuposer FILE, none with --untrained. Each way takes its
 turn frame by frame, so that a change of the machine's speed meets all of them. "cpu" is the time of the
@@ -26,16 +27,16 @@ from hybrid import TrackerSettings
 from hybrid.refinement import Refinement
 from learned import checkpoint, online, runtime
 from learned import kinematics as kin
-from learned.features import COMBINATIONS, imuposer_input
+from learned.features import COMBINATIONS
 from learned.models import Dip, Imuposer, Model, build, for_network
-from learned.reach import pose_of
+from learned.reach import inputs, pose_of
 from learned.refine import CHAINS, AdamSettings, refine
-from learned.validation import cut, worn_in_turn
+from learned.validation import cut
 from mocap import Motion, Recording, dataset, metrics, orientation, sensors, synthesis
 from mocap.estimator import Pose, replay, samples
 from mocap.skeleton import Skeleton
 from poser import motions
-from poser.estimators import TRACKER, devices_of
+from poser.estimators import TRACKER, devices_of, make, network_of
 
 WIDTHS = (34, 9, 9, 9, 9, 11, 10)
 
@@ -53,10 +54,7 @@ def inputs_of(model: Model, count: int) -> tuple[Tensor, int]:
     made = synthesis.recording(motions.builtin(rate, 30.0), names, synthesis.Noise(), 0)
     past, future = (20, 5) if isinstance(model, Dip) else (124, 0)
     w = cut([made], past, future, max(1, len(made) // count))
-    if isinstance(model, Dip):
-        return model.inputs(w.R_world_bone, w.acc_world)[0][:count], past
-    worn = worn_in_turn(0, len(w.clip))
-    return imuposer_input(w.R_world_bone, w.acc_world, worn)[:count], past
+    return inputs(model, w, count), past
 
 
 def ways(model: Model) -> dict[str, tuple[runtime.Runtime, bool]]:
@@ -111,6 +109,32 @@ def speed(model: Model, frames: int) -> None:
             f"{middle / base:.2f}", f"{np.mean(off[name]):.5f}", f"{max(off[name]):.4f}",
         )  # fmt: skip
         print(row((name, *cells), WIDTHS), flush=True)
+
+
+def whole(frames: int, files: dict[str, Path | None]) -> None:
+    """From a sample to its pose, each method at its network's rate, against the time between two samples.
+
+    "p99 cpu" is of the time that all threads of the process were given: what other work on the machine, or
+    its host, takes away is not in it, what two threads do at once counts twice.
+    """
+    print(row(("method", "Hz", "p50 ms", "p99 ms", "p99 cpu", "longest", "period"), WIDTHS))
+    for method in ("dip", "hybrid-dip", "imuposer", "imuposer-adam", "hybrid-imuposer"):
+        network = network_of(method)
+        rate, names = (60.0, sensors.SIX) if network == "dip" else (25.0, devices_of(sensors.FIVE))
+        made = synthesis.recording(
+            motions.builtin(rate, frames / rate), names, synthesis.Noise(), 0
+        )
+        estimator = make(method, rate, names, weights=files[network])
+        state, times = estimator.init(), []
+        for sample in samples(made):
+            began = time.perf_counter(), time.process_time()
+            state, _ = estimator.step(state, sample)
+            times.append((time.perf_counter() - began[0], time.process_time() - began[1]))
+        ms, cpu = 1e3 * np.array(times[10:]).T
+        found = (
+            np.median(ms), np.percentile(ms, 99), np.percentile(cpu, 99), ms.max(), 1e3 / rate,
+        )  # fmt: skip
+        print(row((method, f"{rate:g}", *(f"{x:.1f}" for x in found)), WIDTHS), flush=True)
 
 
 def memory(network: str, minutes: float) -> None:
@@ -187,6 +211,8 @@ def refinement(frames: int) -> None:
     }
     memory, apart = qp.start(), 0.0
     for k, sample in zip(range(frames), samples(made), strict=False):
+        if not sample.valid.all():  # lost: the Adams have nothing to go by
+            continue
         R = truth.R_parent_joint[k] @ error
         pose = Pose(sample.time_s, R, np.zeros(3), np.full((24, 3), 0.2), "", covariance)
         began = time.perf_counter()
@@ -215,7 +241,7 @@ def by_autograd(
     """What `learned.refine.refine` does, gradients by torch; each step's rotation vectors start at zero."""
     moving = [j for joint in joints for j in CHAINS[joint]]
     R = torch.as_tensor(R_parent_joint, dtype=torch.float32)
-    target = torch.as_tensor(R_measured, dtype=torch.float32)
+    target = torch.tensor(R_measured, dtype=torch.float32)
     turn = torch.zeros(len(moving), 3, requires_grad=True)
     steps = torch.optim.Adam(
         [turn], settings.learning_rate, (settings.beta1, settings.beta2), settings.epsilon
@@ -238,6 +264,7 @@ def main() -> None:
     parser.add_argument("--minutes", type=float)
     parser.add_argument("--adam", action="store_true")
     parser.add_argument("--refinement", action="store_true")
+    parser.add_argument("--whole", action="store_true")
     parser.add_argument("--clips", type=int, default=12)
     parser.add_argument("--untrained", action="store_true")
     parser.add_argument("--dip", type=Path)
@@ -250,6 +277,8 @@ def main() -> None:
         adam(model_of("imuposer", args.imuposer, args.untrained), args.clips)
     elif args.refinement:
         refinement(max(60, args.frames))
+    elif args.whole:
+        whole(max(1500, args.frames), files)
     elif args.minutes:
         for network in files:
             memory(network, args.minutes)

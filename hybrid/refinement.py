@@ -30,13 +30,12 @@ from hybrid import limits, motion_filter, rotations, tasks
 from hybrid.kinematics import Configuration, Kinematics
 from hybrid.limb_qp import Answer, LimbQP
 from hybrid.settings import TrackerSettings
-from mocap.estimator import Pose, Sample
+from mocap.estimator import NO_MEASUREMENT, Pose, Sample
 from mocap.orientation import Array
 from mocap.skeleton import Skeleton
 
 TRUNK = (0, 3, 6, 9)
 ROOT_OFFSET_S = 0.5  # memory of the root's correction while a worn pelvis sensor is lost
-NO_MEASUREMENT = "no sensor measured"
 NOT_CONVERGED = "the QP did not converge"
 
 

@@ -15,6 +15,7 @@ import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file
 from safetensors.torch import save as serialised
+from torch import Tensor
 
 from learned.errors import CheckpointError
 from learned.features import Normalisation
@@ -24,6 +25,9 @@ from mocap.formats._files import write_aside
 SCHEMA = "poser-weights/1"
 WEIGHTS = Path(__file__).parent / "weights"
 LARGEST_HIDDEN = 8192  # a description that asks for more is damaged
+# Divided by, or standard deviations.
+POSITIVE = ("in_deviation", "out_deviation", "deviation_scale", "deviation_rad")
+ROUNDING = 1e-4  # of a covariance in single precision, relative to its greatest entry or eigenvalue
 
 
 def shipped(network: str) -> Path:
@@ -117,7 +121,8 @@ def load(path: Path, network: str | None = None) -> Model:
     """The model, ready for inference, single precision.
 
     Raises CheckpointError where the file is absent, corrupt, of another network than `network`, or its
-    tensors do not fit its description (names, shapes, values that are not finite).
+    tensors do not fit its description (names, shapes), or hold what no training leaves: values that are not
+    finite, deviations of zero or less, covariances that are none.
     """
     if not path.is_file():
         what = "is a folder; weights are a .safetensors file" if path.is_dir() else "no such file"
@@ -129,9 +134,9 @@ def load(path: Path, network: str | None = None) -> Model:
         tensors = load_file(path)
     except (SafetensorError, OSError, ValueError) as e:
         raise CheckpointError(f"{path}: not a safetensors file, or cut short ({e})") from e
-    with torch.random.fork_rng(devices=[]):  # the weights drawn here are overwritten at once
-        model = build(config)
-    expected = {k: tuple(v.shape) for k, v in model.state_dict().items()}
+    # Shapes alone: a description that is wrong may ask for gigabytes.
+    with torch.device("meta"):
+        expected = {k: tuple(v.shape) for k, v in build(config).state_dict().items()}
     found = {k: tuple(v.shape) for k, v in tensors.items()}
     for name in sorted(expected.keys() | found.keys()):
         if expected.get(name) != found.get(name):
@@ -139,11 +144,30 @@ def load(path: Path, network: str | None = None) -> Model:
                 f"{path}: tensor {name} has shape {found.get(name, 'none')}, "
                 f"expected {expected.get(name, 'none')}"
             )
-        if not tensors[name].is_floating_point():
-            raise CheckpointError(f"{path}: tensor {name} holds {tensors[name].dtype}, no floats")
-        if not torch.isfinite(tensors[name]).all():
-            raise CheckpointError(f"{path}: tensor {name} holds values that are not finite")
+        if problem := _problem(name, tensors[name]):
+            raise CheckpointError(f"{path}: tensor {name} holds {problem}")
+    with torch.random.fork_rng(devices=[]):  # the weights drawn here are overwritten at once
+        model = build(config)
     model.load_state_dict({k: v.float() for k, v in tensors.items()})
     model.reach = _reach(path)
     model.requires_grad_(False)
     return model.eval()
+
+
+def _problem(name: str, x: Tensor) -> str | None:
+    """What a tensor of weights holds that it must not, in words."""
+    if not x.is_floating_point():
+        return f"{x.dtype}, no floats"
+    x = x.float()
+    if not torch.isfinite(x).all():
+        return "values that are not finite"
+    if name in POSITIVE and not (x > 0).all():
+        return f"{float(x.min()):g}, expected deviations above zero"
+    if name == "error_covariance":
+        C = x.double()
+        if ((C - C.mT).abs() > ROUNDING * C.abs().max()).any():
+            return "a matrix that is not symmetric, expected covariances"
+        values = torch.linalg.eigvalsh(C)
+        if (values[..., 0] < -ROUNDING * values[..., -1].clamp_min(0)).any():
+            return f"a matrix with the eigenvalue {float(values.min()):g}, expected covariances"
+    return None

@@ -1,8 +1,9 @@
 """Motion capture as compact arrays: what training windows are cut from.
 
 A `Corpus` holds every clip at one rate, low-passed, as unit quaternions and root positions in float32.
-The cache lies outside the repository (`mocap.dataset.cache_folder`) and is named by what it was made
-from, so that another selection of files makes another cache.
+The cache lies outside the repository (`mocap.dataset.cache_folder`): one small file a motion file, written
+as soon as that one is read, so that reading 15,000 of them can be interrupted and a file more costs one
+file. Any of it may be deleted.
 """
 
 from __future__ import annotations
@@ -10,9 +11,10 @@ from __future__ import annotations
 import hashlib
 import zipfile
 import zlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +35,8 @@ _VERSION = "4"
 
 Float = NDArray[np.float32]
 Progress = Callable[[int, int], None]
+Unreadable = Callable[[Path, PoserError], None]
+Arrays = tuple[Float, Float, NDArray[np.bool_]]  # q (N,24,4), p (N,3), sound (N,) of one clip
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +45,8 @@ class Corpus:
 
     q (N,24,4): local rotations as unit quaternions, scalar first, sign-continuous within a clip. p (N,3)
     m: the pelvis. sound (N,): the frame may train (no flipped rig). start, length (C,): frames of each
-    clip; names (C,); weight (C,): probability of drawing it.
+    clip; names (C,): what `pack` was given, of `read` the files' paths; weight (C,): probability of
+    drawing it.
     """
 
     q: Float
@@ -91,25 +96,37 @@ def pack(clips: Iterable[tuple[str, Motion]]) -> Corpus:
     Clips are drawn with probability proportional to the square root of their length: repetitive long
     clips count less than their frames, short ones more.
     """
-    names, qs, ps, sounds = [], [], [], []
-    for name, motion in clips:
-        motion = motion.resampled(RATE_HZ)
-        q = ori.to_quat(motion.R_parent_joint)
-        sign = np.cumprod(np.sign(np.sum(q[1:] * q[:-1], axis=-1) + 1e-300), axis=0)
-        q[1:] *= sign[..., None]
-        turn = ori.angle(motion.R_parent_joint[:, list(_END_JOINTS)])
-        names.append(name)
-        qs.append(q.astype(np.float32))
-        ps.append(motion.p_world_root.astype(np.float32))
-        sounds.append((turn < FLIP_RAD).all(axis=1))
+    found = [(name, _arrays(motion)) for name, motion in clips]
+    return _end_to_end(
+        [name for name, _ in found], [len(q) for _, (q, _, _) in found], (a for _, a in found)
+    )
+
+
+def _arrays(motion: Motion) -> Arrays:
+    """What a corpus holds of a motion."""
+    motion = motion.resampled(RATE_HZ)
+    q = ori.to_quat(motion.R_parent_joint)
+    sign = np.cumprod(np.sign(np.sum(q[1:] * q[:-1], axis=-1) + 1e-300), axis=0)
+    q[1:] *= sign[..., None]
+    turn = ori.angle(motion.R_parent_joint[:, list(_END_JOINTS)])
+    sound = (turn < FLIP_RAD).all(axis=1)
+    return q.astype(np.float32), motion.p_world_root.astype(np.float32), sound
+
+
+def _end_to_end(names: Sequence[str], frames: Sequence[int], clips: Iterable[Arrays]) -> Corpus:
+    """The clips are taken one after another: all of them at once would be the corpus a second time."""
     if not names:
         raise PoserError("no motion to train on")
-    length = np.array([len(q) for q in qs])
-    weight = np.sqrt(length.astype(float))
-    return Corpus(
-        np.concatenate(qs), np.concatenate(ps), np.concatenate(sounds),
-        np.concatenate([[0], np.cumsum(length)[:-1]]), length, tuple(names), weight / weight.sum(),
-    )  # fmt: skip
+    length = np.array(frames)
+    start, weight = np.concatenate([[0], np.cumsum(length)[:-1]]), np.sqrt(length.astype(float))
+    q = np.empty((length.sum(), 24, 4), np.float32)
+    p, sound = np.empty((len(q), 3), np.float32), np.empty(len(q), bool)
+    for name, at, n, arrays in zip(names, start, length, clips, strict=True):
+        if len(arrays[0]) != n:
+            raise PoserError(f"{name}: changed while it was read")
+        for whole, own in zip((q, p, sound), arrays, strict=True):
+            whole[at : at + n] = own
+    return Corpus(q, p, sound, start, length, tuple(names), weight / weight.sum())
 
 
 def prepared(motion: Motion) -> Motion:
@@ -130,50 +147,116 @@ def key_of(paths: Sequence[Path]) -> str:
     """
     key = hashlib.sha256(_VERSION.encode())
     for path in paths:
-        try:
-            stat = path.stat()
-        except OSError as e:
-            raise PoserError(f"{path}: {e.strerror}") from e
-        key.update(f"{path.resolve()}|{stat.st_size}|{stat.st_mtime_ns}\n".encode())
+        key.update(f"{_identity(path)}\n".encode())
     return key.hexdigest()[:16]
 
 
+def _identity(path: Path) -> str:
+    """A file's path, size and time. Not its bytes: of AMASS they would take minutes at every start."""
+    try:
+        stat = path.stat()
+    except OSError as e:
+        raise PoserError(f"{path}: {e.strerror}") from e
+    return f"{path.resolve()}|{stat.st_size}|{stat.st_mtime_ns}"
+
+
 def read(paths: Sequence[Path], progress: Progress | None = None) -> Corpus:
-    """The corpus of motion files of any format, from the cache where it is there.
+    """The corpus of motion files of any format, each from the cache where it is there.
 
     Raises PoserError naming the file where one cannot be read or holds no motion.
     """
-    cached = dataset.cache_folder() / f"corpus-{key_of(paths)}.npz"
-    if (found := _load(cached)) is not None:
-        return found
-    corpus = pack(_clips(paths, progress))
-    cached.parent.mkdir(parents=True, exist_ok=True)
-    with write_aside(cached) as aside:
-        np.savez(
-            aside, q=corpus.q, p=corpus.p, sound=corpus.sound, start=corpus.start,
-            length=corpus.length, names=np.array(corpus.names), weight=corpus.weight,
-        )  # fmt: skip
-    return corpus
+    whole = _whole(paths)
+    return cached(frames(paths, progress)) if whole is None else whole
 
 
-def _load(path: Path) -> Corpus | None:
-    """A cached corpus; None where there is none, or a damaged one, which is made anew."""
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
-            return Corpus(
-                data["q"], data["p"], data["sound"], data["start"], data["length"],
-                tuple(str(n) for n in data["names"]), data["weight"],
-            )  # fmt: skip
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
-        return None
+def frames(
+    paths: Sequence[Path], progress: Progress | None = None, unreadable: Unreadable | None = None
+) -> dict[Path, int]:
+    """How many frames a corpus has of each file, zero of motions too short to train; the cache has all then.
 
-
-def _clips(paths: Sequence[Path], progress: Progress | None) -> Iterable[tuple[str, Motion]]:
+    unreadable: told of every file that cannot be read or holds no motion, and why; the file is left out.
+    Raises PoserError naming the file where nobody is told, and where none is left.
+    """
+    found: dict[Path, int] = {}
+    first: PoserError | None = None
     for i, path in enumerate(paths):
-        motion = formats.read(path).content
-        if not isinstance(motion, Motion):
-            raise PoserError(f"{path}: holds no motion, but a {type(motion).__name__}")
-        if len(motion) >= 8:
-            yield path.stem, prepared(motion)
+        try:
+            found[path] = _frames(path)
+        except PoserError as e:
+            if unreadable is None:
+                raise
+            unreadable(path, e)
+            first = first or e
         if progress:
             progress(i + 1, len(paths))
+    if first and not found:
+        raise PoserError(f"none of the motions can be read: {first}") from first
+    return found
+
+
+def cached(found: Mapping[Path, int]) -> Corpus:
+    """The corpus of what `frames` has found."""
+    long = {path: n for path, n in found.items() if n}
+    return _end_to_end([str(p) for p in long], list(long.values()), map(_clip, long))
+
+
+def _frames(path: Path) -> int:
+    """How many frames `_clip` has of a file, which is in the cache then."""
+    entry, made_from = _entry(path)
+    found = _stored(entry, "sound", "made_from")
+    return len(found[0]) if found and str(found[1]) == made_from else len(_clip(path)[0])
+
+
+def _clip(path: Path) -> Arrays:
+    """The motion of a file, from the cache where it is there; of no frames where it is shorter than 8."""
+    entry, made_from = _entry(path)
+    found = _stored(entry, "q", "p", "sound", "made_from")
+    if found and str(found[3]) == made_from:
+        return found[0], found[1], found[2]
+    motion = formats.read(path).content
+    if not isinstance(motion, Motion):
+        raise PoserError(f"{path}: holds no motion, but a {type(motion).__name__}")
+    arrays: Arrays = (
+        np.empty((0, 24, 4), np.float32),
+        np.empty((0, 3), np.float32),
+        np.empty(0, bool),
+    )
+    if len(motion) >= 8:
+        arrays = _arrays(prepared(motion))
+    with write_aside(entry) as aside:
+        q, p, sound = arrays
+        np.savez(aside, q=q, p=p, sound=sound, made_from=np.array(made_from))
+    return arrays
+
+
+def _entry(path: Path) -> tuple[Path, str]:
+    """The cache file of a motion file, and what it must say that it was made from.
+
+    It is named by the path alone, so that the entry of a file that has changed is replaced.
+    """
+    name = hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:16]
+    return dataset.cache_folder() / "clips" / f"{name}.npz", f"{_VERSION}|{_identity(path)}"
+
+
+def _whole(paths: Sequence[Path]) -> Corpus | None:
+    """What earlier versions cached: one file a selection, its clips named by their files' stems.
+
+    None where there is none, and where two of the files share a stem: which of them was long enough to be
+    in it cannot be told.
+    """
+    of_stem = {path.stem: str(path) for path in paths}
+    old = dataset.cache_folder() / f"corpus-{key_of(paths)}.npz"
+    found = _stored(old, "q", "p", "sound", "start", "length", "weight", "names")
+    if found is None or len(of_stem) < len(paths):
+        return None
+    q, p, sound, start, length, weight, stems = found
+    return Corpus(q, p, sound, start, length, tuple(of_stem[str(s)] for s in stems), weight)
+
+
+def _stored(path: Path, *names: str) -> list[NDArray[Any]] | None:
+    """Arrays of a cache file; None where there is none, or a damaged one, which is made anew."""
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
+            return [data[name] for name in names]
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
+        return None

@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from learned.devices import possible
 from learned.features import COMBINATIONS, DIP_JOINTS
 from learned.models import Dip, Model
 from learned.validation import CHUNK, Windowed, imuposer_poses
@@ -23,8 +24,8 @@ def calibrate(model: Model, windows: Windowed, trained: Windowed | None = None) 
 
     Errors are Log(R_estimated^T R_true); every clip counts the same. DIP: a scale per joint on the network's
     own deviation (unit variance), the rms error of joints that it does not predict, the covariance of all
-    joints' errors. IMUPoser: deviations and covariance per combination. Left and right are taken for
-    mirror images of each other.
+    joints' errors. IMUPoser: deviations and covariance per combination; of one that is in no window, nor its
+    mirror image, they stay as they were. Left and right are taken for mirror images of each other.
 
     trained: windows of motion that the network has learnt from. Validation people are few, and how errors of
     joints lean against each other differs from person to person: half of a covariance is then that of these
@@ -49,28 +50,30 @@ def calibrate(model: Model, windows: Windowed, trained: Windowed | None = None) 
             model.error_covariance.copy_(shrunk(C))
             return
         found = imuposer_covariances(model, windows)
-        for k, C in enumerate(found):
+        other = {} if trained is None else imuposer_covariances(model, trained)
+        for k, C in found.items():
             model.deviation_rad[k].copy_(shrunk(C).diagonal().sqrt().reshape(24, 3))
-        if trained is not None:
-            other = imuposer_covariances(model, trained)
-            found = [pooled(*both) for both in zip(found, other, strict=True)]
-        for k, C in enumerate(found):
-            model.error_covariance[k].copy_(shrunk(C))
+            model.error_covariance[k].copy_(shrunk(pooled(C, other[k]) if k in other else C))
 
 
 def _both_ways(error: Tensor, weight: Tensor) -> Tensor:
     return (covariance(error, weight) + covariance(mirrored(error), weight)) / 2
 
 
-def imuposer_covariances(model: Model, windows: Windowed) -> list[Tensor]:
-    """(72,72) of each combination, its own and that of its mirror image's mirror image."""
-    weight = clip_weights(windows.clip)
-    each = [
-        (covariance(e, weight), covariance(mirrored(e), weight))
-        for e in (_errors(imuposer_poses(model, windows, c), windows) for c in COMBINATIONS)
-    ]
-    twins = [COMBINATIONS.index(tuple(sorted(_MIRRORED[p] for p in c))) for c in COMBINATIONS]
-    return [(each[k][0] + each[twin][1]) / 2 for k, twin in enumerate(twins)]
+def imuposer_covariances(model: Model, windows: Windowed) -> dict[int, Tensor]:
+    """(72,72) of each combination that windows hold, itself or mirrored: the mean of its own and that of its
+    mirror image's mirror image."""
+    own, twin = {}, {}
+    may = possible(windows.there)
+    for k, c in enumerate(COMBINATIONS):
+        if may[:, k].any():
+            some = windows.only(may[:, k])
+            error, weight = _errors(imuposer_poses(model, some, c), some), clip_weights(some.clip)
+            own[k] = covariance(error, weight)
+            mirror = COMBINATIONS.index(tuple(sorted(_MIRRORED[p] for p in c)))
+            twin[mirror] = covariance(mirrored(error), weight)
+    both = [[C[k] for C in (own, twin) if k in C] for k in range(len(COMBINATIONS))]
+    return {k: torch.stack(C).mean(0) for k, C in enumerate(both) if C}
 
 
 def pooled(C: Tensor, other: Tensor) -> Tensor:

@@ -4,8 +4,8 @@ DIP (Huang et al. 2018, 4.3 and appendix C): five sensors relative to the pelvis
 R'_s = R_root^T R_s (eq. 9) and a'_s = R_root^T (a_s - a_root) (eq. 10), flattened row-major to
 [45 orientation, 15 acceleration], then zero-mean unit-variance over the training set.
 
-IMUPoser (Mollyn et al. 2023, 4.1): five places in the global frame, [15 acceleration / 30,
-45 orientation], places without a device zero.
+IMUPoser (Mollyn et al. 2023): five places in the global frame, [15 acceleration, 45 orientation], places
+without a device zero (4.1); accelerations smoothed over 5 frames and divided by 30 (4.2).
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ Normalisation = Literal["root", "first", "heading"]
 DEVIATION_FLOOR = 1e-4
 """Least standard deviation of the scaler: a constant channel must not blow up."""
 
-ACC_SCALE = 30.0  # m/s^2, IMUPoser's divisor of accelerations (4.1)
-ACC_WINDOW = 5  # frames of the centred mean over IMUPoser's accelerations
+ACC_SCALE = 30.0  # m/s^2, IMUPoser's divisor of accelerations (4.2)
+ACC_WINDOW = 5  # frames of the mean over IMUPoser's accelerations (4.2); centred: ours
 
 COMBINATIONS: tuple[tuple[int, ...], ...] = tuple(
     c

@@ -4,7 +4,7 @@
 pocket, head; `pose` (N,72) SMPL axis-angle, `trans` (N,3) m, `betas`. Such a file is a pickle that only
 torch can read: it goes through `torch.load(weights_only=True)`, which admits tensors and plain containers.
 What the authors do not state is checked against the reference or told as an assumption: the rate (25 Hz, that
-of the paper's network, 4.1), accelerations in m/s^2 without gravity, orientations of the bones, y up.
+of the paper's network, 4.2), accelerations in m/s^2 without gravity, orientations of the bones, y up.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ def negative_log_likelihood(x: Tensor, mean: Tensor, deviation: Tensor) -> Tenso
 
 
 def dip(out: Gaussian, pose: Tensor, acc: Tensor, reconstruct_acc: bool = True) -> Tensor:
-    """DIP's loss: eq. 4 (pose) + eq. 5 (reconstruction of the input accelerations), scaled units."""
+    """DIP's loss (3.4): eq. 4 (pose) + eq. 5 (reconstruction of the input accelerations), scaled units."""
     loss = negative_log_likelihood(pose, out.pose, out.pose_deviation)
     if reconstruct_acc:
         loss = loss + negative_log_likelihood(acc, out.acc, out.acc_deviation)
@@ -25,7 +25,8 @@ def dip(out: Gaussian, pose: Tensor, acc: Tensor, reconstruct_acc: bool = True) 
 
 
 def imuposer(out: Tensor, R_parent_joint: Tensor, offsets: Tensor) -> Tensor:
-    """IMUPoser's loss (4.1): MSE of the 6D pose + MSE of joint positions (m, root at the origin).
+    """IMUPoser's loss (4.3): MSE of the 6D pose + MSE of joint positions (m, root at the origin), these by
+    forward kinematics (4.1).
 
     out (B,T,144); R_parent_joint (B,T,24,3,3); offsets (24,3) m.
     """

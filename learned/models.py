@@ -20,6 +20,7 @@ from mocap import sensors as places
 
 Architecture = Literal["birnn", "rnn", "feedforward", "wavenet", "imuposer"]
 ARCHITECTURES: tuple[Architecture, ...] = ("birnn", "rnn", "feedforward", "wavenet", "imuposer")
+FIXED_WIDTHS = ("feedforward", "wavenet")  # those of DIP's appendix A, whatever `hidden` says
 RATES = {"dip": 60.0, "imuposer": 25.0}
 
 

@@ -1,11 +1,13 @@
 """Several processes that train one network: what they must agree on.
 
 `torchrun` starts them and sets RANK, WORLD_SIZE and LOCAL_RANK. Gradients are averaged by torch's
-DistributedDataParallel; the first process alone decides when to stop, validates and writes.
+DistributedDataParallel; the first process alone decides how to begin and when to stop, validates and writes.
+The others need no folder in common with it.
 """
 
 from __future__ import annotations
 
+import io
 import os
 from dataclasses import dataclass
 from typing import Any
@@ -37,6 +39,19 @@ class World:
         shared = torch.tensor(values, dtype=torch.float64, device=self.device)
         dist.broadcast(shared, 0)
         return tuple(shared.tolist())
+
+    def share(self, value: dict[str, Any]) -> dict[str, Any]:
+        """The first process' tensors, numbers and texts, in every process; sent tensors lie on the CPU."""
+        if self.size == 1:
+            return value
+        box: list[Any] = [None]
+        if self.first:
+            sent = io.BytesIO()
+            torch.save(value, sent)
+            box = [sent.getvalue()]
+        dist.broadcast_object_list(box, 0, device=torch.device(self.device))
+        got: dict[str, Any] = torch.load(io.BytesIO(box[0]), weights_only=True, map_location="cpu")
+        return got
 
     def wrapped(self, model: nn.Module) -> Any:
         """`model` as it is called in training: every process ends a backward pass with the same gradients."""

@@ -13,11 +13,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from learned import devices, runtime
 from learned import kinematics as kin
-from learned import runtime
 from learned.features import dip_pose, imuposer_input, imuposer_pose
 from learned.models import Dip, Model
-from learned.validation import Windowed, worn_in_turn
+from learned.validation import Windowed
 
 NEARLY_DEG = 0.5  # of the worst joint, mean over windows: what "nearly exact" means here
 REACHES = (20, 40, 60, 80)
@@ -32,7 +32,7 @@ def inputs(model: Model, windows: Windowed, most: int = MOST_WINDOWS) -> Tensor:
     R, acc = windows.R_world_bone[pick], windows.acc_world[pick]
     if isinstance(model, Dip):
         return model.inputs(R, acc)[0]
-    return imuposer_input(R, acc, worn_in_turn(0, len(pick)))
+    return imuposer_input(R, acc, devices.in_turn(0, windows.there[pick]))
 
 
 def pose_of(model: Model, way: runtime.Runtime, features: Tensor) -> Tensor:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import pickle
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,8 @@ from learned.models import Model
 from learned.settings import TrainSettings
 from mocap.formats._files import write_aside
 
-LIMITS = ("steps", "minutes", "patience")  # settings that may change when a run goes on
+# Settings that may change when a run goes on: when it ends, and what suits the machine.
+FREE = ("steps", "minutes", "patience", "bfloat16")
 
 
 def fingerprint(model: Model | None) -> str:
@@ -64,11 +66,16 @@ class RunFolder:
     def best(self) -> Path:
         return self.path / "best.safetensors"
 
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """All that a run writes here itself."""
+        return (self.state, self.log, self.best, self.best.with_suffix(".json"))
+
     def set_aside(self) -> list[Path]:
         """Rename log and weights of a run that left no state to go on from, as `log.jsonl.1` or with the next
         number that is free. Returns the new paths; none where there was nothing.
         """
-        left = [p for p in (self.log, self.best, self.best.with_suffix(".json")) if p.exists()]
+        left = [p for p in self.files if p != self.state and p.exists()]
         k = 1
         while any(p.with_name(f"{p.name}.{k}").exists() for p in left):
             k += 1
@@ -86,19 +93,24 @@ class RunFolder:
         """
         try:
             state: dict[str, Any] = torch.load(self.state, weights_only=True, map_location="cpu")
-            settings = _without_limits(state["settings"])
+            settings = _fixed(state["settings"])
+        except pickle.UnpicklingError as e:
+            raise self.damaged("it is damaged, or holds more than tensors and is not loaded") from e
+        # The file is a pickle of tensors: what else breaks in a damaged one cannot be listed.
         except Exception as e:
-            # The file is a pickle of tensors: what breaks in a damaged one cannot be listed.
-            reason = " ".join(str(e).split())[:200]
-            raise TrainingError(f"{self.state}: cannot be resumed from ({reason})") from e
+            raise self.damaged() from e
         mine = identity.to_state()
-        if settings != _without_limits(mine["settings"]):
+        if settings != _fixed(mine["settings"]):
             raise self._other("with other settings", "the same settings")
         if state.get("data", "") and mine["data"] and state["data"] != mine["data"]:
             raise self._other("on other motions", "the same motions")
         if state.get("start", mine["start"]) != mine["start"]:
             raise self._other("that began with other weights", "the same weights to start from")
         return state
+
+    def damaged(self, how: str = "it is damaged, or no state of a run") -> TrainingError:
+        """The error of a state that cannot be gone on from."""
+        return TrainingError(f"{self.state}: cannot be resumed from; {how}")
 
     def _other(self, what: str, same: str) -> TrainingError:
         return TrainingError(f"{self.path}: holds a run {what}; give another folder, or {same}")
@@ -117,6 +129,6 @@ class RunFolder:
                 aside.write_text("".join(r + "\n" for r in kept))
 
 
-def _without_limits(settings: str) -> dict[str, Any]:
+def _fixed(settings: str) -> dict[str, Any]:
     """Settings but for those that may change when a run goes on."""
-    return {k: v for k, v in json.loads(settings).items() if k not in LIMITS}
+    return {k: v for k, v in json.loads(settings).items() if k not in FREE}

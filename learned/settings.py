@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from learned.augmentation import Augmentation
+from learned.checkpoint import LARGEST_HIDDEN
 from learned.errors import TrainingError
 from learned.models import Config, for_network
 
@@ -20,8 +21,9 @@ class TrainSettings:
     linearly to zero as well (0: none, as in the papers). average: decay of the running mean of the
     weights that is validated and shipped (0: the weights themselves). reconstruct_acc: DIP's second loss
     (eq. 5). patience: validations without a lesser pose error (`learned.train.pose_error`) after which
-    training stops early (0: never). every: steps between validations. bfloat16: mixed precision. minutes:
-    stop after this long (None: no limit), the cooldown following the clock then.
+    training stops early (0: never). every: steps between validations. bfloat16: mixed precision where it is
+    faster (`learned.precision`; False: single precision everywhere). minutes: stop after this long (None: no
+    limit), the cooldown following the clock then.
     """
 
     config: Config = field(default_factory=Config)
@@ -59,19 +61,29 @@ class TrainSettings:
                 raise TrainingError(f"{name} must lie in [0, 1), got {getattr(self, name)}")
         if self.minutes is not None and not self.minutes > 0:
             raise TrainingError(f"minutes must be above zero, got {self.minutes}")
+        if not 1 <= self.config.hidden <= LARGEST_HIDDEN:  # such weights could not be loaded
+            raise TrainingError(f"hidden must be 1 to {LARGEST_HIDDEN}, got {self.config.hidden}")
 
     @classmethod
     def paper(cls, network: str, **changes: Any) -> TrainSettings:
-        """The papers' schedules.
+        """The papers' schedules, and where they are left.
 
         DIP: Adam at 1e-3, decayed by 0.96 every 2,000 steps, gradients clipped at 1, early stopping (4.1;
         the authors' code has 1e-4), batches of 16 (the authors' code). IMUPoser: Adam at 3e-4, batches of
         256 windows of 125 frames (4.3), no decay, no clipping.
+
+        Ours, of both: what is validated and shipped is a running mean of the weights (`average`); the best
+        weights and early stopping go by `learned.train.pose_error`, where DIP's go by the log-likelihood of
+        the validation set (4.1) and IMUPoser's paper states neither. DIP: windows of 60 frames at random
+        places, where the paper trains on entire sequences (3.4, 5.1.4). IMUPoser: windows at random places
+        with one combination of devices drawn for each, and a number of steps, where the paper has windows
+        that do not overlap, 24 copies of each (4.2) and 80 epochs (4.3); limbs of different clips are not
+        spliced: how they move together is what one device tells of the limbs without any.
         """
         if network == "imuposer":
             base: dict[str, Any] = {
                 "config": for_network("imuposer"), "batch": 256, "frames": 125, "learning_rate": 3e-4,
-                "decay": 1.0, "clip": float("inf"),
+                "decay": 1.0, "clip": float("inf"), "augmentation": Augmentation(splice=0.0),
             }  # fmt: skip
             return cls(**(base | changes))
         return cls(**changes)

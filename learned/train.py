@@ -2,8 +2,10 @@
 
 A run lives in a folder (`learned.run_folder`): `state.pt` (everything needed to go on, replaced as a whole),
 `log.jsonl` (one line per validation), `best.safetensors` with its JSON (the weights of the least `pose_error`
-so far). A resumed run draws what the uninterrupted one would have drawn; with several processes
-(`learned.parallel`) the others than the first draw anew from their rank and the step.
+so far). A resumed run draws what the uninterrupted one would have drawn. On the same CPU with as many threads
+it ends with its weights to the bit; on a GPU it need not, since cuDNN's LSTMs may add up in another order
+each time. With several processes (`learned.parallel`) the first alone reads and writes the folder; the others
+go on from what it has found there, and draw anew from their rank and the step.
 """
 
 from __future__ import annotations
@@ -21,16 +23,18 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from learned import checkpoint, losses
+from learned import checkpoint, devices, losses
 from learned.errors import CheckpointError, TrainingError
-from learned.features import COMBINATIONS, dip_target, imuposer_input
+from learned.features import dip_target, imuposer_input
 from learned.interrupts import Interrupts
 from learned.models import Dip, Model, build
 from learned.parallel import World
+from learned.precision import bfloat16_pays
 from learned.run_folder import Identity, RunFolder, fingerprint
 from learned.settings import TrainSettings
 from learned.validation import Windowed, score
 from learned.virtual import Batch
+from mocap.errors import PoserError
 from mocap.skeleton import Skeleton
 
 SAVE_EVERY_S = 60.0
@@ -61,7 +65,8 @@ class Trainer:
 
     data: names what the windows are cut from (`corpus.key_of`). start: a trained model to go on from,
     scalers included. A run is resumed neither on other data nor from another start. earlier: what was set
-    aside where the folder held a run that cannot be gone on with.
+    aside where the folder held a run that cannot be gone on with. precision: "bfloat16" or "float32", whether
+    its products are of mixed precision.
     """
 
     def __init__(
@@ -92,19 +97,56 @@ class Trainer:
         self.offsets = torch.as_tensor(
             np.array(Skeleton.default().offsets), dtype=torch.float32
         ).to(self.device)
-        resumed = self.files.state.exists()
-        if start is None and not resumed and isinstance(self.model, Dip):
-            self._fit_scalers(self.model)
         self._seed()
         self.average = copy.deepcopy(self.model).eval().requires_grad_(False)
         self.optimizer = torch.optim.Adam(self.model.parameters(), lr=settings.learning_rate)
-        folder.mkdir(parents=True, exist_ok=True)
         self.earlier: list[Path] = []
-        if resumed:
-            self._resume()
-        elif self.world.first:
-            self.earlier = self.files.set_aside()
+        self.bfloat16: bool | None = None  # what was measured; None: not yet
+        self._begin(fit=start is None)
         self.called = self.world.wrapped(self.model)
+
+    @property
+    def precision(self) -> str:
+        return "bfloat16" if self.settings.bfloat16 and self.bfloat16 else "float32"
+
+    def _begin(self, fit: bool) -> None:
+        """The first process alone looks into its folder and measures; all begin with what it has then.
+
+        fit: the scalers, where the run is new. Raises TrainingError in every process where the first cannot
+        begin, or where this one was given other settings: its learning rates would be others.
+        """
+        shared: dict[str, Any] = {}
+        if self.world.first:
+            try:
+                self._open(fit)
+                shared = self._state() | self.identity.to_state()
+            except PoserError as e:
+                if self.world.size == 1:
+                    raise
+                shared = {"error": str(e)}
+        shared = self.world.share(shared)
+        if "error" in shared:
+            raise TrainingError(shared["error"])
+        if self.world.first:
+            return
+        if shared["settings"] != self.identity.to_state()["settings"]:
+            raise TrainingError(
+                f"process {self.world.rank} was given other settings than the first one"
+            )
+        self._take(shared)
+        self._seed()
+
+    def _open(self, fit: bool) -> None:
+        self.files.path.mkdir(parents=True, exist_ok=True)
+        if self.files.state.exists():
+            self._resume()
+        else:
+            if fit and isinstance(self.model, Dip):
+                self._fit_scalers(self.model)
+                self.average.load_state_dict(self.model.state_dict())
+            self.earlier = self.files.set_aside()
+        if self.settings.bfloat16:
+            self.bfloat16 = bfloat16_pays(self.device, self.bfloat16)
 
     def _fit_scalers(self, model: Dip) -> None:
         rng = np.random.default_rng(self.settings.seed)
@@ -126,11 +168,13 @@ class Trainer:
 
     def run(self, progress: Progress | None = None) -> Path:
         """Train. On Ctrl-C the step is finished, the state saved and KeyboardInterrupt raised."""
-        saved = time.monotonic()
+        saved = -math.inf  # after the first step: a log and weights without a state could not go on
         with Interrupts() as interrupts:
             while True:
                 if self.world.first and self._due():
                     self._validate(progress, interrupts)
+                    self._save()
+                    saved = time.monotonic()
                 self.seconds, verdict = self.world.agree(self.seconds, self._verdict(interrupts))
                 if verdict != _GO:
                     break
@@ -192,17 +236,16 @@ class Trainer:
 
     def _loss(self, batch: Batch) -> Tensor:
         model, s = self.model, self.settings
-        mixed = torch.autocast(self.device.type, torch.bfloat16) if s.bfloat16 else nullcontext()
+        half = self.precision == "bfloat16"
+        mixed = torch.autocast(self.device.type, torch.bfloat16) if half else nullcontext()
         if isinstance(model, Dip):
             x, acc = model.inputs(batch.R_world_bone, batch.acc_world)
             pose = model.output_scaler.scale(dip_target(batch.R_parent_joint))
             with mixed:
                 out = self.called(x)
             return losses.dip(out, pose, acc, s.reconstruct_acc)
-        worn = torch.zeros(len(batch.acc_world), 5, dtype=torch.bool)
-        for k, c in enumerate(self.rng.integers(len(COMBINATIONS), size=len(worn))):
-            worn[k, list(COMBINATIONS[c])] = True
-        x = imuposer_input(batch.R_world_bone, batch.acc_world, worn.to(self.device))
+        worn = devices.drawn(self.rng, batch.there)
+        x = imuposer_input(batch.R_world_bone, batch.acc_world, worn)
         with mixed:
             y = self.called(x)
         return losses.imuposer(y, batch.R_parent_joint, self.offsets)
@@ -225,8 +268,8 @@ class Trainer:
         } | {f"validation_{k}": v for k, v in found.items()}  # fmt: skip
         if error < self.best:
             self.best, self.since_best = error, 0
-            about = self.about | {"training": self.settings.to_json(), "validation": row}
-            checkpoint.save(model, self.files.best, about)
+            how = {"training": self.settings.to_json(), "precision": self.precision}
+            checkpoint.save(model, self.files.best, self.about | how | {"validation": row})
         else:
             self.since_best += 1
         self.files.append(row)
@@ -236,21 +279,18 @@ class Trainer:
 
     # -- state ------------------------------------------------------------------------------------
 
-    def _save(self) -> None:
-        if not self.world.first:
-            return
-        state = {
+    def _state(self) -> dict[str, Any]:
+        """What all processes share of a run."""
+        return {
             "step": self.step, "seconds": self.seconds, "best_error": self.best,
             "since_best": self.since_best, "validated": self.validated,
             "loss_sum": self.loss_sum, "loss_count": self.loss_count,
-            "model": self.model.state_dict(),
+            "bfloat16": self.bfloat16, "model": self.model.state_dict(),
             "average": self.average.state_dict(), "optimizer": self.optimizer.state_dict(),
-            "numpy": json.dumps(self.rng.bit_generator.state), "torch": torch.get_rng_state(),
         }  # fmt: skip
-        self.files.write(state, self.identity)
 
-    def _resume(self) -> None:
-        state = self.files.read(self.identity)
+    def _take(self, state: dict[str, Any]) -> None:
+        """The inverse of `_state`; also of the states of earlier versions."""
         self.step, self.seconds = state["step"], state["seconds"]
         if "best_error" in state:
             self.best, self.since_best = state["best_error"], state["since_best"]
@@ -259,14 +299,26 @@ class Trainer:
         # Earlier versions saved right after a validation or between two: then nothing is due.
         self.validated = state.get("validated", self.step)
         self.loss_sum, self.loss_count = state.get("loss_sum", 0.0), state.get("loss_count", 0)
-        self.model.load_state_dict(state["model"])
-        self.average.load_state_dict(state["average"])
+        self.bfloat16 = state.get("bfloat16", True)  # which earlier versions always used
+        for model, name in ((self.model, "model"), (self.average, "average")):
+            # Which earlier versions had not, and training leaves as it is.
+            default = {"error_covariance": model.error_covariance}
+            model.load_state_dict(default | state[name])
         self.optimizer.load_state_dict(state["optimizer"])
-        if not self.world.first:
-            self._seed()
-            return
-        self.rng.bit_generator.state = json.loads(state["numpy"])
-        torch.set_rng_state(state["torch"])
+
+    def _save(self) -> None:
+        if self.world.first:
+            numbers = {"numpy": json.dumps(self.rng.bit_generator.state)}
+            self.files.write(self._state() | numbers | generators(self.device), self.identity)
+
+    def _resume(self) -> None:
+        state = self.files.read(self.identity)
+        try:
+            self._take(state)
+            self.rng.bit_generator.state = json.loads(state["numpy"])
+            set_generators(self.device, state)
+        except (KeyError, TypeError, ValueError, RuntimeError) as e:
+            raise self.files.damaged() from e
         self.files.cut_log(self.validated)
 
     def _error_of_best(self) -> float:
@@ -275,3 +327,16 @@ class Trainer:
             return pose_error(checkpoint.describe(self.files.best)["validation"], "validation_")
         except (CheckpointError, KeyError):
             return math.inf
+
+
+def generators(device: torch.device) -> dict[str, Tensor]:
+    """The states of torch's generators that draw dropout on a device."""
+    found = {"torch": torch.get_rng_state()}
+    return found | ({"cuda": torch.cuda.get_rng_state(device)} if device.type == "cuda" else {})
+
+
+def set_generators(device: torch.device, state: Mapping[str, Tensor]) -> None:
+    """The inverse of `generators`; a state saved on a CPU, or by an earlier version, has none of the GPU."""
+    torch.set_rng_state(state["torch"])
+    if device.type == "cuda" and "cuda" in state:
+        torch.cuda.set_rng_state(state["cuda"], device)

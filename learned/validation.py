@@ -14,10 +14,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from learned import devices, losses
 from learned import kinematics as kin
-from learned import losses
 from learned.corpus import prepared
-from learned.features import COMBINATIONS, dip_target, imuposer_input, imuposer_pose
+from learned.features import dip_target, imuposer_input, imuposer_pose
 from learned.models import RATES, Dip, Model
 from mocap import sensors as places
 from mocap import synthesis
@@ -38,7 +38,8 @@ CHUNK = 256  # windows at a time
 class Windowed:
     """N windows cut from recordings: (N,T,S,...) sensors, and the truth (N,T,24,3,3) of every frame.
 
-    emit: the frame of each window that the network answers for. clip (N,): where it was cut from.
+    emit: the frame of each window that the network answers for. clip (N,): where it was cut from. there
+    (N,S): the sensors that are worn at that frame (`learned.devices.there`).
     """
 
     R_world_bone: Tensor
@@ -46,6 +47,16 @@ class Windowed:
     R_parent_joint: Tensor
     emit: int
     clip: np.ndarray
+    there: Tensor
+
+    def only(self, which: Tensor) -> Windowed:
+        """Those of the windows where `which` (N,) is true."""
+        if which.all():
+            return self
+        return Windowed(
+            self.R_world_bone[which], self.acc_world[which], self.R_parent_joint[which], self.emit,
+            self.clip[which.numpy()], self.there[which],
+        )  # fmt: skip
 
 
 def held(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
@@ -70,7 +81,7 @@ def held(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
 
 def cut(recordings: Iterable[Recording], past: int, future: int, stride: int = 1) -> Windowed:
     """Windows of `past` + 1 + `future` frames around every `stride`-th frame; ends are repeated."""
-    Rs, accs, truths, clips = [], [], [], []
+    Rs, accs, truths, clips, worn = [], [], [], [], []
     for i, recording in enumerate(recordings):
         assert recording.reference is not None
         R, acc = held(recording)
@@ -80,12 +91,14 @@ def cut(recordings: Iterable[Recording], past: int, future: int, stride: int = 1
         accs.append(acc[at].astype(np.float32))
         truths.append(recording.reference.R_parent_joint[at].astype(np.float32))
         clips.append(np.full(len(at), i))
+        worn.append(devices.there(recording)[::stride])
     return Windowed(
         torch.as_tensor(np.concatenate(Rs)),
         torch.as_tensor(np.concatenate(accs)),
         torch.as_tensor(np.concatenate(truths)),
         past,
         np.concatenate(clips),
+        torch.as_tensor(np.concatenate(worn)),
     )
 
 
@@ -108,23 +121,29 @@ def recordings(
 
 
 def cut_for(network: str, recordings: Sequence[Recording], most: int | None = None) -> Windowed:
-    """Windows as the network sees them online, evenly over all recordings, about `most` in all.
+    """Windows as the network sees them online, evenly over all recordings, about `most` in all; none for a
+    frame at which nothing is worn.
 
-    Raises PoserError where there is no recording.
+    Raises PoserError where there is no recording, or no such frame.
     """
     if not recordings:
         raise PoserError("no motion of a second or more to validate on")
     past, future = SEEN[network]
     frames = sum(len(r) for r in recordings)
     stride = max(1, round(frames / (most or MOST_WINDOWS[network])))
-    return cut(recordings, past, future, stride)
+    windows = cut(recordings, past, future, stride)
+    worn = windows.there.any(1)
+    if not worn.any():
+        raise PoserError("no sensor measured anything in what is to validate")
+    return windows.only(worn)
 
 
 def predict(model: Model, windows: Windowed, reconstruct_acc: bool = True) -> tuple[Tensor, float]:
     """Local rotations (N,24,3,3) of the emitted frames, and the loss, mean over windows.
 
-    IMUPoser wears one of its 24 combinations in each window, in turn. reconstruct_acc: whether DIP's loss
-    counts the accelerations (it must not where it did not in training: nothing taught those heads).
+    IMUPoser wears one of its 24 combinations in each window, in turn, of those whose devices are there.
+    reconstruct_acc: whether DIP's loss counts the accelerations (it must not where it did not in training:
+    nothing taught those heads).
     """
     poses: list[Tensor] = []
     total = 0.0
@@ -141,19 +160,11 @@ def predict(model: Model, windows: Windowed, reconstruct_acc: bool = True) -> tu
                 total += len(R) * float(losses.dip(out, target, target_acc, reconstruct_acc))
                 poses.append(model.pose(out.at(t), R[:, t, 5]))
             else:
-                worn = worn_in_turn(i, len(R))
+                worn = devices.in_turn(i, windows.there[part])
                 y = model(imuposer_input(R, acc, worn))
                 total += len(R) * float(losses.imuposer(y, truth, offsets))
                 poses.append(imuposer_pose(y[:, t]))
     return torch.cat(poses), total / len(windows.clip)
-
-
-def worn_in_turn(first: int, count: int) -> Tensor:
-    """(count,5): the combinations first, first + 1, ..., going round the 24."""
-    worn = torch.zeros(count, 5, dtype=torch.bool)
-    for k in range(count):
-        worn[k, list(COMBINATIONS[(first + k) % len(COMBINATIONS)])] = True
-    return worn
 
 
 def figures(poses: Tensor, windows: Windowed) -> dict[str, float]:

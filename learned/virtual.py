@@ -35,12 +35,14 @@ class Batch:
 
     R_world_bone (B,T,S,3,3), acc_world (B,T,S,3) m/s^2: lost samples hold the last value, as the online
     runner does, and what lies before a clip's beginning is its first sample. R_parent_joint (B,T,24,3,3): the
-    truth.
+    truth. there (B,S): the sensors that are worn at each window's end; of these alone IMUPoser's combinations
+    are drawn.
     """
 
     R_world_bone: Tensor
     acc_world: Tensor
     R_parent_joint: Tensor
+    there: Tensor
 
 
 def cubic_weights(part: np.ndarray) -> np.ndarray:
@@ -73,6 +75,9 @@ def spline_coefficients(x: np.ndarray) -> np.ndarray:
 class Windows:
     """Draws batches from a corpus. The generator is a numpy one: its state resumes a run.
 
+    It keeps 88 MB per hour of motion, splines and what frames may train. The corpus's own rotations and
+    positions, as much again, it does not keep.
+
     Between the corpus's frames motion runs on cubic splines (of the quaternions' components, normalised):
     second differences of a path that is straight between frames jump at every frame, and where a window is
     slowed down those jumps would be what the virtual accelerometers measure.
@@ -87,7 +92,7 @@ class Windows:
         augmentation: Augmentation,
         device: torch.device | str = "cpu",
     ) -> None:
-        self.corpus, self.rate_hz, self.frames = corpus, rate_hz, frames
+        self.rate_hz, self.frames = rate_hz, frames
         self.augmentation, self.device = augmentation, torch.device(device)
         joint, seat = places.joints_and_seats(sensors)
         self._joint = [int(j) for j in joint]
@@ -95,6 +100,7 @@ class Windows:
         self._offsets = torch.as_tensor(
             np.array(Skeleton.default().offsets), dtype=torch.float32, device=self.device
         )
+        self._start, self._length, self._weight = corpus.start, corpus.length, corpus.weight
         self._q, self._p, self._first = self._splines(corpus)
         self._bad = np.concatenate([[0], np.cumsum(~corpus.sound)])
         needed = self._span(np.exp(augmentation.warp))
@@ -143,15 +149,16 @@ class Windows:
 
         The third (B,): how many of the T inner frames lie before the clip's beginning.
         """
-        a, c = self.augmentation, self.corpus
+        a = self.augmentation
         speed = np.exp(rng.uniform(-a.warp, a.warp, size=count))
         span = self._span(speed)
         which, first = self._places(rng, span)
         steps = np.arange(self.frames + 2) * (RATE_HZ / self.rate_hz)
         at = first[:, None] + steps * speed[:, None]
         missing = np.minimum((at < 0).sum(axis=1), self.frames - 1)
-        at = np.clip(at, 0, (c.length[which] - 1)[:, None])
-        low = np.minimum(np.floor(at).astype(int), (c.length[which] - 2)[:, None])
+        length = self._length[which][:, None]
+        at = np.clip(at, 0, length - 1)
+        low = np.minimum(np.floor(at).astype(int), length - 2)
         weights = cubic_weights(at - low)
         low += self._first[which][:, None]  # of the coefficient one before the frame
         taps, weights = low[..., None] + np.arange(4), weights.astype(np.float32)
@@ -170,17 +177,16 @@ class Windows:
         A clip that is too short ends the window, as a recording that has just begun: its first frame is
         negative.
         """
-        c = self.corpus
         which, first = np.zeros(len(span), int), np.zeros(len(span), int)
         drawn = np.arange(len(span))
         for _ in range(_TRIES):
-            clip = rng.choice(len(c.names), size=len(drawn), p=c.weight)
-            room = c.length[clip] - span[drawn]
+            clip = rng.choice(len(self._weight), size=len(drawn), p=self._weight)
+            room = self._length[clip] - span[drawn]
             at = (rng.uniform(size=len(drawn)) * (np.maximum(room, 0) + 1)).astype(int)
             at += np.minimum(room, 0)
             which[drawn], first[drawn] = clip, at
-            begin = c.start[clip] + np.maximum(at, 0)
-            end = c.start[clip] + np.minimum(at + span[drawn], c.length[clip])
+            begin = self._start[clip] + np.maximum(at, 0)
+            end = self._start[clip] + np.minimum(at + span[drawn], self._length[clip])
             drawn = drawn[self._bad[end] > self._bad[begin]]
             if not len(drawn):
                 break
@@ -255,7 +261,8 @@ class Windows:
             R = R.gather(1, shown[..., None, None].expand(R.shape))
             acc = acc.gather(1, shown[..., None].expand(acc.shape))
             R_local = R_local.gather(1, shown[..., None, None].expand(R_local.shape))
-        return Batch(R, acc, R_local)
+        everywhere = torch.ones(B, S, dtype=torch.bool, device=self.device)
+        return Batch(R, acc, R_local, everywhere)
 
     @cached_property
     def _covariance_root(self) -> np.ndarray:

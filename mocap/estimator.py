@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -77,13 +77,16 @@ def samples(recording: Recording) -> Iterator[Sample]:
         )
 
 
+NO_MEASUREMENT = "no sensor measured"  # note of a pose that rests on none
+
+
 @dataclass(frozen=True, eq=False)
 class Replay:
     """A recording run through an estimator.
 
-    motion: as many frames as the recording has, aligned in time whatever the look-ahead. frame_s (T,):
-    seconds of each sample's step. std_rad (T,24,3), where every pose has it. notes: why poses are
-    fallbacks, counted.
+    motion: as many frames as the recording has, aligned in time whatever the look-ahead. frame_s (N,):
+    seconds of the step of each sample that the estimator was shown. std_rad (T,24,3), where every pose has
+    it. notes: why poses are fallbacks, counted.
     """
 
     motion: Motion
@@ -106,6 +109,10 @@ def replay(
     """Every row of a recording through `estimator`; at the end samples in which nothing is valid follow,
     as many as the look-ahead, so that the last frames get their poses.
 
+    Rows before the first in which any orientation is valid are not shown to it: they tell nothing, and an
+    estimator without look-ahead could only answer with a pose of its own making. They get the first pose, as
+    a fallback.
+
     The recording runs at the estimator's rate and holds its sensors (others are left out). skeleton: the
     body of the motion (default: the table's). progress: is told the share that is done. Raises SensorError
     for a sensor that is missing, PoserError where the rates differ or a pose does not come.
@@ -115,11 +122,13 @@ def replay(
             f"the recording runs at {recording.rate_hz:g} Hz, the estimator at {estimator.rate_hz:g} Hz"
         )
     recording = recording.select(estimator.sensors)
-    T = len(recording)
+    first = int(recording.ori_valid.any(1).argmax())
+    shown = recording.slice(first, len(recording))
+    T = len(shown)
     poses: list[Pose] = []
     frame_s = []
     state = estimator.init()
-    for k, sample in enumerate(_and_then_nothing(recording, estimator.look_ahead_frames)):
+    for k, sample in enumerate(_and_then_nothing(shown, estimator.look_ahead_frames)):
         began = time.perf_counter()
         state, pose = estimator.step(state, sample)
         frame_s.append(time.perf_counter() - began)
@@ -129,6 +138,7 @@ def replay(
             progress(min(1.0, (k + 1) / T))
     if len(poses) != T:
         raise PoserError(f"{len(poses)} poses came of {T} frames")
+    poses = [replace(poses[0], note=NO_MEASUREMENT)] * first + poses
     motion = Motion(
         recording.rate_hz,
         np.stack([p.R_parent_joint for p in poses]),
@@ -140,7 +150,7 @@ def replay(
     return Replay(
         motion,
         np.array(frame_s[:T]),
-        np.stack(std) if len(std) == T else None,
+        np.stack(std) if len(std) == len(poses) else None,
         Counter(p.note for p in poses if p.note),
     )
 

@@ -18,7 +18,7 @@ from mocap.motion import Motion
 from mocap.recording import Recording
 from mocap.skeleton import Skeleton
 from poser.console import Progress, part
-from poser.estimators import check_devices, devices_of, network_of, used
+from poser.estimators import at_once, check_devices, everyday, network_of, used
 from poser.results import NO_SKILL, Compared, Lost, Result
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ class Job:
     """What to run on one recording.
 
     name: as it is called in tables. methods: of `METHODS`. sensors: what the methods see (None: `six` where
-    the recording has them, else all it has). devices: what IMUPoser sees (None: `devices_of` the sensors
+    the recording has them, else all it has). devices: what IMUPoser sees (None: `everyday` of the sensors
     given, else of all that the recording has).
     reference: a motion, "sip-all", or None for the recording's own. skeleton: the body that is solved for.
     """
@@ -134,17 +134,25 @@ def read_by(job: Job, name: str) -> tuple[str, ...]:
     if NETWORK[name] != "imuposer":
         return tuple(used(NETWORK[name], job.sensors or six_of(job.recording)).values())
     there = job.sensors or job.recording.sensors
-    found = used("imuposer", job.devices or devices_of(there) or there)
-    check_devices(found, "--devices")
+    found = used("imuposer", job.devices or everyday(there, job.recording))
+    check_devices(at_once(found, job.recording), "--devices")
     return tuple(found.values())
 
 
 def read_by_any(job: Job) -> tuple[str, ...]:
     """The sensors that the methods and the reference read, in the recording's order."""
-    every = job.recording.sensors
+    return job.recording.sensors if job.reference == "sip-all" else _read(job, job.methods)
+
+
+def read_by_networks(job: Job) -> tuple[str, ...]:
+    """The sensors that the networks among the methods read, in the recording's order."""
+    return _read(job, [m for m in job.methods if m in NETWORK])
+
+
+def _read(job: Job, methods: Sequence[str]) -> tuple[str, ...]:
     why = obstacles(job)
-    read = {n for m in job.methods if m not in why for n in read_by(job, m)}
-    return every if job.reference == "sip-all" else tuple(n for n in every if n in read)
+    read = {n for m in methods if m not in why for n in read_by(job, m)}
+    return tuple(n for n in job.recording.sensors if n in read)
 
 
 def six_of(recording: Recording) -> tuple[str, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
     from mocap.estimator import Estimator
     from mocap.orientation import Array
+    from mocap.recording import Recording
     from mocap.skeleton import Skeleton
 
 METHODS = ("dip", "imuposer", "imuposer-adam", "hybrid")
@@ -57,6 +58,39 @@ def devices_of(sensors: Sequence[str]) -> tuple[str, ...]:
     return tuple(have[n] for n in names)
 
 
+def everyday(sensors: Sequence[str], recording: Recording | None = None) -> tuple[str, ...]:
+    """These sensors where IMUPoser can use all that serve it, else `devices_of` them: where nobody chose.
+
+    recording: the one that they are of; without it all are taken for worn at the same time.
+    """
+    found = used("imuposer", sensors)
+    if recording is None:
+        fits = len(found) <= MOST_DEVICES
+    else:
+        fits = trained_on(at_once(found, recording))
+    return tuple(sensors) if fits else devices_of(sensors)
+
+
+def at_once(found: dict[str, str], recording: Recording) -> dict[str, str]:
+    """Of `used`, those that the recording has valid at the same time: the most, and of as many those that
+    IMUPoser is not trained on.
+
+    A phone that changes pockets is valid in one of them at a time: two columns, one device.
+    """
+    import numpy as np
+
+    columns = [recording.sensors.index(sensor) for sensor in found.values()]
+    worn = np.unique(recording.ori_valid[:, columns], axis=0)
+    sets = [{p: found[p] for p, on in zip(found, row, strict=True) if on} for row in worn]
+    return max(sets, key=lambda s: (len(s), not trained_on(s)))
+
+
+def trained_on(places: Collection[str]) -> bool:
+    """Whether IMUPoser is trained on devices at these places together: three at most, and not both pockets
+    with the head (its Fig. 3)."""
+    return len(places) <= MOST_DEVICES and set(places) != {"left_pocket", "right_pocket", "head"}
+
+
 def network_of(method: str, network: str | None = None) -> str:
     """dip or imuposer: the network that a method runs; the hybrid's is `network`, dip where nothing is said.
 
@@ -96,15 +130,16 @@ def used(network: str, sensors: Sequence[str]) -> dict[str, str]:
 
 
 def check_devices(found: dict[str, str], option: str = "--sensors") -> None:
-    """IMUPoser's devices as worn all at once: raises SensorError where it was not trained on them.
+    """IMUPoser's devices as worn all at once (of a recording: `at_once`): raises SensorError where it was not
+    trained on them.
 
     option: the argument that chooses others.
     """
-    pockets_and_head = set(found) == {"left_pocket", "right_pocket", "head"}
-    if len(found) > MOST_DEVICES or pockets_and_head:
-        why = "both pockets and the head together" if pockets_and_head else f"{len(found)} devices"
+    if not trained_on(found):
+        few = len(found) <= MOST_DEVICES
+        why = "both pockets and the head together" if few else f"{len(found)} devices"
         raise SensorError(
-            f"imuposer is trained on one to three devices, not on {why}: choose with {option}, "
+            f"imuposer is trained on one to three devices at a time, not on {why}: choose with {option}, "
             f"for example {','.join(list(found.values())[:2])}"
         )
 
@@ -126,7 +161,8 @@ def make(
     network: the hybrid's. weights: a file (default: the shipped ones). window: DIP's frames before and
     after (default: 20,5). skeleton: the wearer's body. joint (S,), seat (S,3) m: where `sensors` sit, for the
     hybrid and for Adam (default: the table of places); networks know places by their names alone. IMUPoser
-    may be given all five places: it reads those that are valid at the time. Raises PoserError where something
+    may be given all five places: it reads those that are valid at the time (`check_devices` is the caller's).
+    Raises PoserError where something
     does not fit.
     """
     which = network_of(method, network)

@@ -3,14 +3,27 @@
 from __future__ import annotations
 
 import json
+import os
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mocap.errors import PoserError
 from poser import files, options
-from poser.console import DONE, INTERRUPTED, complain, emit, note, progress, say
+from poser.console import (
+    DONE,
+    INTERRUPTED,
+    Progress,
+    UsageError,
+    complain,
+    emit,
+    note,
+    progress,
+    say,
+    tell_notes,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -65,6 +78,10 @@ def add_run(parser: ArgumentParser) -> None:
     run.add_argument("--seed", type=options.seed, default=0, metavar="N", help="default: 0")
     run.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="default: cpu")
     run.add_argument(
+        "--precision", choices=("auto", "float32"), default="auto",
+        help="of the products: auto is bfloat16 where that is faster, which is measured (default: auto)",
+    )  # fmt: skip
+    run.add_argument(
         "--resume", action="store_true",
         help="fail where FOLDER holds no run (without this a run there goes on, else one begins)",
     )  # fmt: skip
@@ -93,18 +110,51 @@ def changes(args: Namespace) -> dict[str, Any]:
     }  # fmt: skip
     stated = {field: getattr(args, option) for option, field in names.items()}
     found = {field: value for field, value in stated.items() if value is not None}
+    if args.precision == "float32":
+        found["bfloat16"] = False
     return {"steps": None} | found if "minutes" in found else found
 
 
+def check_hidden(args: Namespace) -> None:
+    """Raises UsageError where --hidden says how wide layers are that have widths of their own."""
+    from learned.models import FIXED_WIDTHS
+
+    if args.hidden and args.architecture in FIXED_WIDTHS:
+        raise UsageError(f"argument --hidden: not with --architecture {args.architecture}")
+
+
 def check_outputs(args: Namespace, inputs: Sequence[Path]) -> None:
-    """Before any work: can everything be written?"""
+    """Before any work: can everything be written, and is nothing written over what the run itself keeps?
+
+    Of several processes (torchrun) only the first writes.
+    """
+    if not _first():
+        return
     if args.export:
         files.check_output(args.export, [*inputs, *filter(None, [args.start])], (".safetensors",))
+        _check_export(args.export, args.output)
     if args.plot:
         files.check_output(args.plot, inputs, (".png",))
     files.make_folder(args.output)
     if args.resume and not (args.output / "state.pt").exists():
         raise PoserError(f"{args.output}: holds no run to resume")
+
+
+def _first() -> bool:
+    """Whether this is the first process or the only one, before any of torch is imported."""
+    return int(os.environ.get("WORLD_SIZE", "1")) == 1 or os.environ.get("RANK", "0") == "0"
+
+
+def _check_export(export: Path, folder: Path) -> None:
+    """Raises UsageError where an export would write over a file of the run."""
+    from learned.run_folder import RunFolder
+
+    own = {path.resolve() for path in RunFolder(folder).files}
+    for path in (export, *(export.with_suffix(s) for s in (".json", ".md"))):
+        if path.resolve() in own:
+            raise UsageError(
+                f"{export}: the run keeps its own {path.name} there; export under another name"
+            )
 
 
 def execute(
@@ -116,17 +166,21 @@ def execute(
 ) -> int:
     """Run, export, draw, report. Ctrl-C leaves a state to go on from and gives 130.
 
-    trained: cuts windows of what is learnt from, for an export's error covariance.
+    Of several processes only the first says anything, its notes included. trained: cuts windows of what is
+    learnt from, for an export's error covariance.
     """
     first = trainer.world.first
     begun = trainer.step
     if trainer.earlier:
         names = ", ".join(p.name for p in trainer.earlier)
         note(f"{args.output}: an earlier run there left no state to go on from; kept as {names}")
-    if begun and first and not args.json:
-        say(f"{args.output}: goes on at step {begun}")
+    if not first:
+        tell_notes(keep=False)
+    elif not args.json:
+        where = f"goes on at step {begun}" if begun else "begins"
+        say(f"{args.output}: {where}, {_precision(trainer)}")
     try:
-        with progress(f"training {trainer.settings.config.network}") as tell:
+        with _bar(f"training {trainer.settings.config.network}", first) as tell:
             best = trainer.run(_Told(trainer, tell, args.json or not first))
     except KeyboardInterrupt:
         if first:
@@ -149,6 +203,7 @@ def execute(
     record: dict[str, Any] = {
         "network": trainer.settings.config.network, "folder": str(args.output), "weights": str(best),
         "step": trainer.step, "begun_at_step": begun, "seconds": trainer.seconds,
+        "precision": trainer.precision,
         "stopped": "no better for long" if trainer.stale() else "done",
         "validation": checkpoint.describe(best)["validation"], "settings": trainer.settings.to_json(),
     } | extra  # fmt: skip
@@ -165,6 +220,18 @@ def execute(
         if args.export:
             say(f"{args.export}: {_figures(record['exported_validation'])}, half precision")
     return DONE
+
+
+def _bar(words: str, shown: bool) -> AbstractContextManager[Progress]:
+    return progress(words) if shown else nullcontext(lambda fraction, text: None)
+
+
+def _precision(trainer: Trainer) -> str:
+    """How it computes, and where that was not the user's choice how he chooses."""
+    if trainer.precision == "bfloat16":
+        return "in bfloat16, which is faster here (--precision float32: without)"
+    why = ": bfloat16 is not faster here" if trainer.settings.bfloat16 else ""
+    return f"in float32{why}"
 
 
 class _Told:

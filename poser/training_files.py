@@ -8,14 +8,42 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from mocap.errors import FormatError, PoserError
+from mocap.errors import PoserError
 from poser.console import UsageError, note
 
 MOTION_FORMATS = ("amass", "bvh", "asfamc")
 MOTION_SUFFIXES = (".npz", ".bvh", ".amc")
 RECORDING_SUFFIXES = (".npz", ".pkl", ".pt", ".pth")
+NAMED = 3  # files that a note names, of those that were left out
 VALIDATES_EVERY = 10  # of the motions, by name
 ENDS = 1 << 16  # bytes at each end of a file that are compared before the whole of it is
+
+
+class LeftOut:
+    """Called with each file that cannot be read and why; keeps those that were found in folders.
+
+    Folders are searched for what there is, and one broken file of thousands must not end it. What the user
+    named himself he wants: that error is raised.
+    """
+
+    def __init__(self, given: Sequence[Path]) -> None:
+        self._named = {p.resolve() for p in given if not p.is_dir()}
+        self.errors: list[PoserError] = []
+
+    def __call__(self, path: Path, error: PoserError) -> None:
+        if path.resolve() in self._named:
+            raise error
+        self.errors.append(error)
+
+    def tell(self) -> None:
+        """A note with the first of them."""
+        if self.errors:
+            more = ", ..." if len(self.errors) > NAMED else ""
+            first = "; ".join(str(e) for e in self.errors[:NAMED])
+            note(
+                f"{len(self.errors)} files in the folders cannot be read and were left out "
+                f"({first}{more})"
+            )
 
 
 def motions(paths: Sequence[Path]) -> list[Path]:
@@ -53,7 +81,7 @@ def gathered(
         found += fitting
         passed += len(inside) - len(fitting)
     if passed:
-        note(f"{passed} files in the folders are no motions and were passed over")
+        note(f"{passed} files in the folders are no motions, or cannot be opened; passed over")
     if not found:
         raise PoserError(f"no {what} in {', '.join(str(p) for p in paths)}")
     once, again = distinct(found)
@@ -110,7 +138,7 @@ def _is_motion(path: Path) -> bool:
 
     try:
         return formats.detect(path).name in MOTION_FORMATS
-    except FormatError:
+    except (PoserError, OSError):  # an OSError: it may not be opened
         return False
 
 

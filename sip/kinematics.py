@@ -113,8 +113,10 @@ def unpack(
     skeleton: Skeleton,
     start_s: float = 0.0,
 ) -> Motion:
-    """The motion of root positions (T,3) m, root rotations (T,3,3) and all 69 body angles (T,69) rad; start_s
-    s is the time of its first frame."""
+    """The motion of root positions (T,3) m, root rotations (T,3,3) and all 69 body angles (T,69) rad.
+
+    start_s: time of its first frame in s.
+    """
     R = np.empty((len(theta), 24, 3, 3))
     R[:, 0] = R_root
     R[:, 1:] = ori.exp(theta.reshape(-1, 23, 3))

@@ -56,7 +56,7 @@ class Heads(nn.Module):
 
 
 class BiRNN(nn.Module):
-    """Dense 512 + ReLU, two stacked bidirectional LSTM layers of 512, heads (3.3, Fig. 12).
+    """Dense 512 + ReLU, two stacked bidirectional LSTM layers of 512, heads (3.4, Fig. 12).
 
     The authors' code has a further dense layer of 256 before the heads; the paper has none and is
     followed. Input dropout 0.2 (keep probability 0.8, 3.4.3). directions=1 is the paper's RNN.

@@ -1,4 +1,4 @@
-"""DIP's sliding window (Huang et al. 2018, 4.2): `past` frames before the answered one, `future` after.
+"""DIP's sliding window (Huang et al. 2018, 3.4): `past` frames before the answered one, `future` after.
 
 Each window starts from zero state, as in training. A window that is not full yet repeats its first frame;
 after a jump of the source's clock, frames before and after it do not mix.

@@ -17,6 +17,8 @@ from mocap.motion import check_rate
 from mocap.orientation import Array
 from mocap.skeleton import Skeleton
 
+UNKNOWN_RAD = np.pi / 2  # deviation of a joint of which nothing is known
+
 
 @dataclass(frozen=True, eq=False)
 class Answer:
@@ -30,9 +32,10 @@ class Answer:
 
 
 class Network(Protocol):
-    """Frames at `rate_hz` in, the pose of `future` frames ago out.
+    """Frames at `rate_hz` in, the pose of `future` frames ago out; None where nothing is known of it.
 
-    tick(state, R_world_bone (S,3,3), acc_world (S,3), present (S,), jumped): `state` None starts.
+    tick(state, R_world_bone (S,3,3), acc_world (S,3), present (S,), jumped): `state` None starts. Frames
+    without an answer get that of the next frame which has one, as far as the look-ahead reaches.
     """
 
     rate_hz: float
@@ -49,8 +52,8 @@ class OnlineState:
     """All that one step hands to the next; plain arrays, pickle it to resume later.
 
     network: the network's state. ticks: frames it has had. recent: the samples that the next tick needs.
-    waiting: our time and the stamp of the samples whose poses are due. answers: the network's poses, time
-    on our clock first, that these lie between.
+    waiting: our time and the stamp of the samples whose poses are due. answers: the network's poses, our
+    time first, that these lie between. Our time: s of `learned.online.intake`, at equal rates frames.
     """
 
     network: Any = None
@@ -76,6 +79,8 @@ class Online:
         self.p_world_root = standing(skeleton or Skeleton.default())
         self._equal = resampling.equal(self.rate_hz, network.rate_hz)
         self._reach = 0.0 if self._equal else resampling.reach_s(self.rate_hz, network.rate_hz)
+        # How far back the network's answers lie, in our time.
+        self._late = network.future / (1.0 if self._equal else network.rate_hz)
 
     def init(self) -> OnlineState:
         """A fresh state."""
@@ -86,11 +91,13 @@ class Online:
         if np.shape(sample.valid) != (len(self.sensors),):
             raise ShapeError(f"a sample must hold {len(self.sensors)} sensors: {self.sensors}")
         held = take(state.recent[-1] if state.recent else None, sample, self.rate_hz)
-        waiting = (*state.waiting, (held.time_s, held.stamp_s))
+        # At equal rates each sample is a frame, whatever its clock says.
+        time = float(state.ticks) if self._equal else held.time_s
+        waiting = (*state.waiting, (time, held.stamp_s))
         if self._equal:
             state = replace(state, recent=(held,), waiting=waiting)
             R, acc = held.R_world_bone, held.acc_world
-            state = self._tick(state, R, acc, held.present, held.jumped, held.time_s)
+            state = self._tick(state, R, acc, held.present, held.jumped, time)
         else:
             state = replace(state, recent=(*state.recent, held), waiting=waiting)
             state = self._resampled(state)
@@ -99,9 +106,9 @@ class Online:
         now, stamp = waiting[0]
         pose = self._between(state.answers, now, stamp)
         # Of the answers, those before the last one at or before the next pose's time have done their duty.
-        next_s = waiting[1][0] if len(waiting) > 1 else np.inf
-        past = sum(1 for t, _ in state.answers if t <= next_s)
-        answers = state.answers[max(0, past - 1) :] if not self._equal else state.answers[1:]
+        next_time = waiting[1][0] if len(waiting) > 1 else np.inf
+        past = sum(1 for t, _ in state.answers if t <= next_time)
+        answers = state.answers[max(0, past - 1) :]
         return replace(state, waiting=waiting[1:], answers=answers), pose
 
     def _resampled(self, state: OnlineState) -> OnlineState:
@@ -126,25 +133,24 @@ class Online:
         acc: Array,
         present: NDArray[np.bool_],
         jumped: bool,
-        time_s: float,
+        time: float,
     ) -> OnlineState:
         network, answer = self.network.tick(state.network, R, acc, present, jumped)
         answers = state.answers
         if answer is not None:
-            late = self.network.future / self.network.rate_hz
-            # At equal rates poses are matched to samples by count, and this time is not looked at.
-            answers = (*answers, (time_s - late, answer))
+            answers = (*answers, (time - self._late, answer))
         return replace(state, network=network, ticks=state.ticks + 1, answers=answers)
 
     def _between(self, answers: tuple[tuple[float, Answer], ...], now: float, stamp: float) -> Pose:
         """The pose at time `now`, geodesically between the network's; outside them the ends hold."""
-        if not answers:  # samples came faster than their rate
+        if not answers:  # nothing has been measured, or samples came faster than their rate
             rest = np.tile(np.eye(3), (24, 1, 1))
-            return Pose(stamp, rest, self.p_world_root, None, "no pose yet")
+            std = np.full((24, 3), UNKNOWN_RAD)
+            return Pose(stamp, rest, self.p_world_root, std, "no pose yet")
         times = np.array([t for t, _ in answers])
-        k = 0 if self._equal else int(np.clip(np.searchsorted(times, now, "right") - 1, 0, None))
+        k = int(np.clip(np.searchsorted(times, now, "right") - 1, 0, None))
         first = answers[k][1]
-        if self._equal or k + 1 >= len(answers) or times[k] >= now:
+        if k + 1 >= len(answers) or times[k] >= now:
             R, std = first.R_parent_joint, first.std_rad
         else:
             second = answers[k + 1][1]

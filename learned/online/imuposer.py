@@ -2,7 +2,8 @@
 
 Networks were trained on windows in which a device was worn throughout or not at all. So every window is
 shown as the devices worn now would have measured it: one that has gone is absent from the whole window,
-one that came lately holds its first value before.
+one that came lately holds its first value before. Before the first device there is no answer, while none is
+worn afterwards the last one holds.
 """
 
 from __future__ import annotations
@@ -88,8 +89,8 @@ class ImuposerWindow:
         worn = self.nearest(have)
         state, kept = self._fed(state, R, acc, present, jumped)
         if not worn:
-            last = state.last or Answer(np.tile(np.eye(3), (24, 1, 1)), np.full((24, 3), np.pi / 2))
-            return state, Answer(last.R_parent_joint, last.std_rad, "no device is worn")
+            last = state.last
+            return state, last and Answer(last.R_parent_joint, last.std_rad, "no device is worn")
         rows = self._rows(state, worn, kept)
         features = self.runtime.features(rows, self.frames - 1)
         pose = imuposer_pose(pose_numbers(self.model, self.runtime, features))

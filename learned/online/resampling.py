@@ -49,16 +49,23 @@ def due(recent: tuple[Held, ...], tick_s: float, reach: float) -> bool:
 
 
 def at_tick(recent: tuple[Held, ...], tick_s: float, reach: float) -> tuple[Array, Array]:
-    """R_world_bone (S,3,3) and acc_world (S,3) m/s^2 at a tick that is due."""
+    """R_world_bone (S,3,3) and acc_world (S,3) m/s^2 at a tick that is due.
+
+    A sensor's samples before its first orientation hold that one, and the acceleration with it: they measured
+    nothing, and what stands for it (`intake.take`) must not be mixed into the first ticks.
+    """
     times = np.array([h.time_s for h in recent])
     k = int(np.clip(np.searchsorted(times, tick_s + _ROUNDING_S, side="right") - 1, 0, None))
-    pair = recent[k : k + 2]
-    R = ori.interpolate(times[k : k + 2], np.stack([h.R_world_bone for h in pair]), [tick_s])[0]
-    if len(pair) == 2:  # samples further apart than they should be: never between all of them
+    seen = np.isfinite([h.seen_s for h in recent])  # (n,S), and from a sensor's first one on
+    shown = np.maximum(np.arange(len(recent))[:, None], seen.argmax(0))
+    sensor = np.arange(seen.shape[1])
+    R_shown = np.stack([h.R_world_bone for h in recent])[shown, sensor]
+    acc_shown = np.stack([h.acc_world for h in recent])[shown, sensor]
+    R = ori.interpolate(times[k : k + 2], R_shown[k : k + 2], [tick_s])[0]
+    if k + 1 < len(times):  # samples further apart than they should be: never between all of them
         reach = max(reach, float(times[k + 1] - times[k]))
     weight = np.maximum(0.0, 1 - np.abs(times - tick_s) / reach)
-    acc = np.stack([h.acc_world for h in recent])
-    return R, np.tensordot(weight / weight.sum(), acc, 1)
+    return R, np.tensordot(weight / weight.sum(), acc_shown, 1)
 
 
 def present_at(recent: tuple[Held, ...], tick_s: float) -> NDArray[np.bool_]:

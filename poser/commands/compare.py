@@ -73,8 +73,9 @@ def add_arguments(parser: ArgumentParser) -> None:
         help=f"those the methods see: {options.SENSORS_HELP} (default: six where there are)",
     )  # fmt: skip
     parser.add_argument(
-        "--devices", metavar="S", help="one to three sensors that IMUPoser sees (default: told)"
-    )
+        "--devices", metavar="S",
+        help="sensors that IMUPoser sees, one to three at a time (default: told)",
+    )  # fmt: skip
     parser.add_argument(
         "--solver", choices=("ipopt", "ipopt-cold", "banded"), default="ipopt",
         help="of SOP, SIP and sip-all (default: ipopt)",
@@ -197,8 +198,9 @@ def _jobs(args: Namespace) -> list[Job]:
         read = comparison.read_by_any(job)
         if read:
             files.note_gaps(path, window.select(read), recording)
-            if any(m in comparison.NETWORK for m in job.methods):
-                files.note_no_acc(path, window.select(read))
+        network_read = comparison.read_by_networks(job)
+        if network_read:
+            files.note_no_acc(path, window.select(network_read))
         jobs.append(job)
     return jobs
 

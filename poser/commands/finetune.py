@@ -2,7 +2,8 @@
 
 RECORDING are recordings of any format that the readers know, or folders of them (DIP-IMU's or IMUPoser's
 as they are unpacked). The last tenth of them validates, in the order given and in folders by name; of a
-single one its last fifth.
+single one its last fifth. Sensors are found as by poser track: another one on the same bone stands in, and
+imuposer learns the combinations of those of its five places that a recording has.
 """
 
 from __future__ import annotations
@@ -10,10 +11,10 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from mocap.errors import FormatError, PoserError
-from poser import files, options, training, training_files
+from poser import estimators, files, licences, options, training, training_files
 from poser.console import note, progress
 
 if TYPE_CHECKING:
@@ -24,6 +25,7 @@ HELP = "fine-tune a network on your own recordings with a reference"
 DEFAULTS = {"steps": 2000, "every": 100, "learning_rate": 1e-4, "batch": 16, "patience": 10}
 """A tenth of DIP's rate, so that what was learned before is kept (DIP 5.1.2: no forgetting)."""
 FRAMES = {"dip": 60, "imuposer": 125}
+NAMED = 5  # recordings that a note names
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -47,18 +49,24 @@ def run(args: Namespace) -> int:
     start, origin = _start(args)
     paths = training_files.recordings(args.recordings)
     with progress("reading recordings") as tell:
-        found = []
+        found: list[Recording] = []
+        worn: list[dict[str, str]] = []
         for k, path in enumerate(paths):
             tell(k / len(paths), path.name)
-            found.append(_recording(path, start))
+            recording, places = _recording(path, start)
+            found.append(recording)
+            worn.append(places)
+    _note_places(args.network, worn)
     train, held = _split(paths, found)
     changes = DEFAULTS | {"frames": FRAMES[args.network]} | training.changes(args)
     settings = TrainSettings.paper(args.network, **(changes | {"config": start.config}))
+    _note_short([p.name for p in paths], train, held, settings.frames)
     world = parallel.join(args.device)
-    about = {
+    about: dict[str, Any] = {
         "data": {"what": "recordings of the user", "recordings": len(paths), "held_out": len(held)},
-        "started_from": str(origin.name),
+        "licence": licences.OF_RECORDINGS,
     }  # fmt: skip
+    licences.inherit(about, origin)
     windows = cut_for(args.network, held)
     trainer = Trainer(
         settings, Recorded(train, settings.frames, world.device), windows, args.output, about, start,
@@ -79,9 +87,12 @@ def _start(args: Namespace) -> tuple[Model, Path]:
     return checkpoint.load(path, args.network), path
 
 
-def _recording(path: Path, model: Model) -> Recording:
-    """A recording of the network's sensors at its rate. Refuses one without a reference."""
-    from learned.recorded import at_rate
+def _recording(path: Path, model: Model) -> tuple[Recording, dict[str, str]]:
+    """A recording of the network's sensors at its rate, and which of the file's serves for which place.
+
+    Refuses one without a reference, and one whose sensors do not serve the network.
+    """
+    from learned.recorded import at_rate, placed
 
     recording = files.recording(path)
     if recording.reference is None:
@@ -89,8 +100,46 @@ def _recording(path: Path, model: Model) -> Recording:
             path,
             "holds no reference motion to learn from; poser solve makes one from all sensors of a suit",
         )
+    config = model.config
     with files.about(path):
-        return at_rate(recording.select(model.config.sensors), model.config.rate_hz)
+        found = estimators.used(config.network, recording.sensors)
+        return at_rate(placed(recording, found, config.sensors), config.rate_hz), found
+
+
+def _note_places(network: str, worn: Sequence[dict[str, str]]) -> None:
+    """Says once which sensors stand in for others, and which devices imuposer learns nothing of."""
+    from mocap import sensors as places
+
+    others = dict.fromkeys((s, p) for found in worn for p, s in found.items() if s != p)
+    for sensor, place in others:
+        note(f"{sensor} stands in for {place}, which is on the same bone")
+    never = [p for p in places.FIVE if not any(p in found for found in worn)]
+    if network == "imuposer" and never:
+        note(f"no recording has {', '.join(never)}: combinations with them are not trained")
+
+
+def _note_short(
+    names: Sequence[str], train: Sequence[Recording], held: Sequence[Recording], frames: int
+) -> None:
+    """Says which recordings are too short for a window: to train on, or to tell much when they validate.
+
+    names: of the files, in the order of the recordings, `train` first; of a single one both are parts.
+    """
+    short = [n for n, r in zip(names, train, strict=False) if len(r) < frames]
+    if short:
+        note(f"shorter than a window of {frames} frames and not trained on: {_some(short)}")
+    few = [
+        f"{n} ({len(r)})" for n, r in zip(names[-len(held) :], held, strict=True) if len(r) < frames
+    ]
+    if few:
+        note(
+            f"fewer frames to validate on than a window's {frames}, which tells little: {_some(few)}"
+        )
+
+
+def _some(names: Sequence[str]) -> str:
+    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    return ", ".join(names[:NAMED]) + more
 
 
 def _split(

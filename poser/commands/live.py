@@ -12,7 +12,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from poser import files, options
+from poser import estimators, files, options
 from poser.console import DONE, UsageError, complain, emit, note
 
 if TYPE_CHECKING:
@@ -93,7 +93,6 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def run(args: Namespace) -> int:
     from mocap.skeleton import Skeleton
-    from poser import estimators
     from poser.live import loop, telling
 
     network = estimators.network_of(args.method, args.network)
@@ -147,25 +146,15 @@ def _source(args: Namespace, network: str) -> Source:
     with files.about(path):
         names = options.sensors(args.sensors, recording.sensors)
         if args.sensors is None and network == "imuposer":
-            names = _everyday(names)
+            names = estimators.everyday(names)
+            if names != recording.sensors:
+                note(f"imuposer sees {', '.join(names)}; --sensors chooses others")
         return Replay(recording.select(names), args.speed)
-
-
-def _everyday(names: tuple[str, ...]) -> tuple[str, ...]:
-    """What IMUPoser sees of a recording's sensors where nobody said: at most three."""
-    from poser import estimators
-
-    if len(estimators.used("imuposer", names)) <= estimators.MOST_DEVICES:
-        return names
-    names = estimators.devices_of(names)
-    note(f"imuposer sees {', '.join(names)}; --sensors chooses others")
-    return names
 
 
 def _worn(args: Namespace, network: str) -> tuple[str, ...]:
     """The sensors from the network: as said, else what the network is made for."""
     from mocap import sensors as places
-    from poser import estimators
 
     if args.devices:
         tracked = options.sensors("five" if args.sensors is None else args.sensors)

@@ -1,8 +1,9 @@
 """Poses of a calibrated recording by an online method, sample by sample as it would run live.
 
-Methods: dip (six sensors), imuposer (one to three of wrists, pockets, head), imuposer-adam (with ten steps of
-refinement), hybrid (a network refined by a small optimisation each frame). The motion has exactly the
-recording's frames, aligned in time whatever the method's look-ahead.
+Methods: dip (six sensors), imuposer (one to three of wrists, pockets, head at a time; which ones may change
+while it runs), imuposer-adam (with ten steps of refinement), hybrid (a network refined by a small
+optimisation each frame). The motion has exactly the recording's frames, aligned in time whatever the method's
+look-ahead.
 """
 
 from __future__ import annotations
@@ -74,8 +75,8 @@ def run(args: Namespace) -> int:
     whole = files.recording(args.recording, gaps=False)
     with files.about(args.recording):
         recording = whole.select(options.sensors(args.sensors, whole.sensors))
-        recording = _chosen(recording, network, args.recording, free=args.sensors is None)
         recording, _ = cut_window(recording, args.begin, args.end)
+        recording = _chosen(recording, network, args.recording, free=args.sensors is None)
     files.note_gaps(args.recording, recording, whole)
     files.note_no_acc(args.recording, recording)
     tracked = _tracked(args, recording, network)
@@ -105,13 +106,15 @@ def _check_weights(path: Path | None) -> None:
 def _chosen(recording: Recording, network: str, path: Path, free: bool) -> Recording:
     """The sensors that the network reads; says where one stands in for another, and, where the choice is
     free, which of more than IMUPoser can use are taken."""
-    found = estimators.used(network, recording.sensors)
+    names = recording.sensors
+    if network == "imuposer" and free:
+        names = estimators.everyday(names, recording)
+    found = estimators.used(network, names)
+    if names != recording.sensors:
+        recording = recording.select(names)
+        note(f"{path}: imuposer sees {', '.join(found)}; --sensors chooses others")
     if network == "imuposer":
-        if free and len(found) > estimators.MOST_DEVICES:
-            recording = recording.select(estimators.devices_of(recording.sensors))
-            found = estimators.used(network, recording.sensors)
-            note(f"{path}: imuposer sees {', '.join(found)}; --sensors chooses others")
-        estimators.check_devices(found)
+        estimators.check_devices(estimators.at_once(found, recording))
     for place, sensor in found.items():
         if sensor != place:
             note(f"{path}: {sensor} stands in for {place}, which is on the same bone")

@@ -1,20 +1,21 @@
 """Train DIP or IMUPoser on motion capture: virtual sensors are put on the motions as it goes.
 
 MOTION are files of any motion format, or folders that are searched in all their depth (AMASS as it is
-unpacked); without any, the project's own training clips from the cache folder (--collections). FOLDER
-holds the run: it can be interrupted, and the same command goes on. Several GPUs or processes: torchrun -m
-poser train ...
+unpacked; files there that cannot be read are left out, with a note); without any, the project's own
+training clips from the cache folder (--collections). FOLDER holds the run: it can be interrupted, and the
+same command goes on. Several GPUs or processes: torchrun -m poser train ...
 """
 
 from __future__ import annotations
 
+import math
 from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mocap.errors import PoserError
-from poser import files, options, training, training_files
+from poser import files, licences, options, training, training_files
 from poser.console import UsageError, note, part, progress
 
 if TYPE_CHECKING:
@@ -36,6 +37,9 @@ CREDITS = {
     "bandai": "Bandai-Namco-Research-Motiondataset-2, Bandai Namco Research Inc., CC BY-NC 4.0.",
 }
 ENOUGH = 60  # training files that an error covariance is fitted on, beside the validation files
+# Validation files that windows are cut from: each is up to 15 s of recording in memory (2 MB), and every
+# tenth of AMASS are 1,500.
+VALIDATED = 400
 BANDAI_STEP = 12  # every so many of Bandai's validation clips: they are much alike
 
 
@@ -66,7 +70,9 @@ def add_arguments(parser: ArgumentParser) -> None:
         choices=("root", "first", "heading"),
         help="of DIP's input; default: root",
     )
-    what.add_argument("--no-acc", action="store_true", help="DIP without accelerations as input")
+    what.add_argument(
+        "--no-acc", action="store_true", help="DIP without accelerations, neither as input nor reconstructed"
+    )  # fmt: skip
     what.add_argument("--no-acc-loss", action="store_true", help="DIP without reconstructing them")
     what.add_argument("--no-dropout", action="store_true", help="no dropout on the input")
     training.add_run(parser)
@@ -85,23 +91,24 @@ def run(args: Namespace) -> int:
         if start.config != settings.config:
             raise PoserError(f"{args.start}: holds another network than these options describe")
     with progress("reading motions") as tell:
-        corpus, paths, validation, about = _data(args, tell)
+        corpus, validation, about = _data(args, tell)
     if args.share < 1:
         corpus = corpus.subset(args.share, settings.seed)
         about["clips"] = len(corpus.names)
+    learnt = [Path(name) for name in corpus.names]
     world = parallel.join(args.device)
     config = settings.config
     windows = Windows(
         corpus, config.sensors, config.rate_hz, settings.frames, settings.augmentation, world.device
     )
+    del corpus  # as much memory as the windows' splines; nothing else reads it
     key = f"{about['key']} {args.share:g}"
-    record: dict[str, Any] = {"data": about}
-    licence = _licence(args)
-    if licence:
-        record["licence"] = licence
+    record: dict[str, Any] = {"data": about, "licence": _own_licence(args)}
+    if args.start:
+        licences.inherit(record, args.start)
     trainer = Trainer(settings, windows, validation, args.output, record, start, world, key)
     return training.execute(
-        trainer, validation, args, record, lambda: _windows(args.network, _evenly(paths))
+        trainer, validation, args, record, lambda: _windows(args.network, _evenly(learnt))
     )
 
 
@@ -114,6 +121,7 @@ def _settings(args: Namespace) -> TrainSettings:
         for name in ("architecture", "normalisation", "no_acc", "no_acc_loss"):
             if getattr(args, name):
                 raise UsageError(f"argument --{name.replace('_', '-')}: for dip only")
+    training.check_hidden(args)
     config: dict[str, Any] = {}
     for name in ("architecture", "hidden", "normalisation"):
         if getattr(args, name):
@@ -123,13 +131,13 @@ def _settings(args: Namespace) -> TrainSettings:
     if args.no_dropout:
         config["dropout"] = 0.0
     changes = training.changes(args) | {"config": for_network(args.network, **config)}
-    return TrainSettings.paper(args.network, reconstruct_acc=not args.no_acc_loss, **changes)
+    # The loss keeps the network from dropping accelerations of its input (3.4.2): none are there.
+    acc = not (args.no_acc or args.no_acc_loss)
+    return TrainSettings.paper(args.network, reconstruct_acc=acc, **changes)
 
 
-def _data(
-    args: Namespace, tell: Progress
-) -> tuple[Corpus, Sequence[Path], Windowed, dict[str, Any]]:
-    """The training corpus, its files, the validation windows, and what all is made of."""
+def _data(args: Namespace, tell: Progress) -> tuple[Corpus, Windowed, dict[str, Any]]:
+    """The training corpus, the validation windows, and what all is made of."""
     if not args.motions:
         if args.validation:
             raise UsageError("argument --validation: needs MOTION to train on")
@@ -139,31 +147,37 @@ def _data(
     from learned import corpus
 
     train = training_files.motions(args.motions)
-    if args.validation:
-        held = training_files.motions(args.validation)
-        training_files.check_apart(train, held)
-    else:
+    held = training_files.motions(args.validation) if args.validation else []
+    training_files.check_apart(train, held)
+    forward = part(tell, 0.0, 0.9)
+    left_out = training_files.LeftOut([*args.motions, *args.validation])
+    found = corpus.frames(
+        train, lambda i, n: forward(i / n, f"reading {i} of {n} motions"), left_out
+    )
+    train, held = list(found), list(corpus.frames(held, unreadable=left_out))
+    left_out.tell()
+    if not args.validation:  # of those that can be read: the only one may be one that cannot
         train, held = training_files.held_out(train)
         names = ", ".join(p.stem for p in held[:5]) + (", ..." if len(held) > 5 else "")
         note(f"validation: every tenth motion by name, {len(held)} of them ({names})")
-    forward = part(tell, 0.0, 0.9)
-    clips = corpus.read(train, lambda i, n: forward(i / n, f"reading {i} of {n} motions"))
-    windows = _windows(args.network, held)
+    seen = held[:: max(1, math.ceil(len(held) / VALIDATED))]
+    if len(seen) < len(held):
+        note(f"validation: windows of {len(seen)} of the {len(held)} motions, evenly by name")
+    clips = corpus.cached({p: found[p] for p in train})
     about = {
         "what": "motions of the user", "key": corpus.key_of(train), "clips": len(clips.names),
-        "minutes": round(clips.seconds / 60, 1), "validation_clips": len(held),
+        "minutes": round(clips.seconds / 60, 1), "validation_clips": len(seen),
     }  # fmt: skip
-    return clips, train, windows, about
+    if left_out.errors:
+        about["left_out"] = len(left_out.errors)
+    return clips, _windows(args.network, seen), about
 
 
-def _licence(args: Namespace) -> str | None:
-    """Of weights trained on the project's own clips; what they start from may ask for more. None: unknown."""
-    from learned import checkpoint
-
+def _own_licence(args: Namespace) -> str:
+    """Of weights trained on these motions alone."""
     if args.motions:
-        return None
-    inherited: str | None = checkpoint.describe(args.start).get("licence") if args.start else "MIT"
-    return "CC BY-NC 4.0" if "bandai" in _collections(args) else inherited
+        return licences.OF_MOTIONS
+    return licences.NON_COMMERCIAL if "bandai" in _collections(args) else licences.PERMISSIVE
 
 
 def _collections(args: Namespace) -> tuple[str, ...]:
@@ -190,12 +204,12 @@ def _motions(paths: Sequence[Path]) -> Iterator[tuple[str, Motion]]:
 
 def _own_split(
     network: str, collections: Sequence[str], tell: Progress
-) -> tuple[Corpus, Sequence[Path], Windowed, dict[str, Any]]:
+) -> tuple[Corpus, Windowed, dict[str, Any]]:
     """The project's training and validation clips (`mocap.dataset`) of these collections."""
     from learned import corpus
     from mocap import dataset
 
-    parts, keys, train, held = [], [], [], []
+    parts, keys, held = [], [], []
     for k, collection in enumerate(collections):
         paths = dataset.files("train", (collection,))
         forward = part(tell, 0.9 * k / len(collections), 0.9 * (k + 1) / len(collections))
@@ -203,7 +217,6 @@ def _own_split(
             corpus.read(paths, lambda i, n, f=forward: f(i / n, f"reading {i} of {n} motions"))  # type: ignore[misc]
         )
         keys.append(corpus.key_of(paths))
-        train += paths
         mine = dataset.files("validation", (collection,))
         held += mine[::BANDAI_STEP] if collection == "bandai" else mine
     windows = _windows(network, held)
@@ -214,4 +227,4 @@ def _own_split(
         "key": " ".join(keys), "clips": len(clips.names), "minutes": round(clips.seconds / 60, 1),
         "validation_clips": len(held),
     }  # fmt: skip
-    return clips, train, windows, about
+    return clips, windows, about

@@ -10,7 +10,7 @@ import torch
 
 from learned.augmentation import Augmentation
 from learned.corpus import Corpus, pack
-from learned.models import RATES, for_network
+from learned.models import RATES, Dip, build, for_network
 from learned.settings import TrainSettings
 from learned.train import Trainer
 from learned.validation import Windowed, cut
@@ -23,6 +23,14 @@ from mocap.skeleton import Skeleton
 
 # Networks this small only wait for each other on several threads.
 torch.set_num_threads(1)
+
+
+def dip(**config: Any) -> Dip:
+    """An untrained DIP of 8 units."""
+    torch.manual_seed(0)
+    model = build(for_network("dip", hidden=8, **config)).eval()
+    assert isinstance(model, Dip)
+    return model
 
 
 def wavy(frames: int = 90, rate_hz: float = 60.0, seed: int = 0, size: float = 0.3) -> Motion:

@@ -14,7 +14,7 @@ from safetensors.torch import load_file, save_file
 
 from learned import checkpoint
 from learned.errors import CheckpointError
-from learned.models import Dip, build, for_network
+from learned.models import Config, Dip, Model, build, for_network
 from mocap.sensors import FIVE, SIX
 
 NETWORKS = ("dip", "imuposer")
@@ -85,8 +85,8 @@ def _config(**changes: object) -> Callable[[Path], None]:
     return apply
 
 
-def _text(text: str) -> Callable[[Path], None]:
-    return lambda path: path.with_suffix(".json").write_text(text) and None  # type: ignore[func-returns-value]
+def _text(text: str) -> Callable[[Path], object]:
+    return lambda path: path.with_suffix(".json").write_text(text)
 
 
 def _cut(keep: float) -> Callable[[Path], None]:
@@ -119,6 +119,19 @@ def _spoiled(value: float) -> Callable[[torch.Tensor], torch.Tensor]:
     return change
 
 
+def _set(value: float) -> Callable[[torch.Tensor], torch.Tensor]:
+    return lambda x: torch.full_like(x, value)
+
+
+def _entry(i: int, j: int, value: float) -> Callable[[torch.Tensor], torch.Tensor]:
+    def change(C: torch.Tensor) -> torch.Tensor:
+        C = C.clone()
+        C[i, j] = value
+        return C
+
+    return change
+
+
 BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
     "sensor order": (_config(sensors=[*SIX[1:], SIX[0]]), "dip reads left_forearm"),
     "rate": (_config(rate_hz=50.0), "rate 50 Hz: dip runs at 60 Hz"),
@@ -145,6 +158,18 @@ BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
     "other shape": (_tensor("in_mean", lambda x: x[:-1]), "expected \\(60,\\)"),
     "nan": (_tensor("net.dense.weight", _spoiled(float("nan"))), "values that are not finite"),
     "inf": (_tensor("in_deviation", _spoiled(float("inf"))), "values that are not finite"),
+    "input scaled by zero": (
+        _tensor("in_deviation", _spoiled(0.0)), "in_deviation holds 0, expected deviations above zero"),
+    "output scaled by zero": (_tensor("out_deviation", _set(0.0)), "out_deviation holds 0"),
+    "a negative scale": (_tensor("deviation_scale", _spoiled(-1.0)), "deviation_scale holds -1"),
+    "a negative deviation": (_tensor("deviation_rad", _spoiled(-0.2)), r"deviation_rad holds -0\.2"),
+    "a negative variance": (
+        _tensor("error_covariance", _entry(3, 3, -1.0)), "a matrix with the eigenvalue -1, expected"),
+    "a covariance beyond 1": (
+        _tensor("error_covariance", lambda C: _entry(1, 0, 0.09)(_entry(0, 1, 0.09)(C))),
+        r"eigenvalue -0\.05, expected covariances"),
+    "a covariance of one side": (
+        _tensor("error_covariance", _entry(0, 1, 0.01)), "a matrix that is not symmetric"),
     "integers": (_tensor("in_mean", lambda x: x.long()), "holds torch.int64"),
 }  # fmt: skip
 
@@ -157,6 +182,47 @@ def test_what_does_not_fit_is_refused(path: Path, case: str) -> None:
         checkpoint.load(path)
     text = str(caught.value)
     assert "\n" not in text and path.stem in text and len(text) - len(str(path)) < 300
+
+
+def test_a_covariance_of_one_combination_is_looked_at(tmp_path: Path) -> None:
+    model, where = small("imuposer"), tmp_path / "w.safetensors"
+    model.error_covariance[7, 0, 0] = -0.1
+    checkpoint.save(model, where, {})
+    with pytest.raises(CheckpointError, match=r"error_covariance holds .* eigenvalue -0\.1"):
+        checkpoint.load(where)
+
+
+def test_covariances_to_single_precision_pass(tmp_path: Path) -> None:
+    """Of rank one: 71 eigenvalues are zero but for rounding, which puts some of them below it."""
+    model, where = small(), tmp_path / "w.safetensors"
+    e = torch.randn(72)
+    model.error_covariance.copy_(torch.outer(e, e))
+    assert torch.linalg.eigvalsh(model.error_covariance)[0] < 0
+    checkpoint.save(model, where, {})
+    checkpoint.load(where)
+
+
+def test_a_wrong_width_is_refused_before_the_network_is_made(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """8192 units would take 11 GB, for a description of 2 kB."""
+    _config(hidden=8192)(path)
+    built = []
+
+    def watched(config: Config) -> Model:
+        model = build(config)
+        built.append({x.device.type for x in model.state_dict().values()})
+        return model
+
+    monkeypatch.setattr(checkpoint, "build", watched)
+    with pytest.raises(CheckpointError, match=r"expected \(8192,\)"):
+        checkpoint.load(path)
+    assert built == [{"meta"}]
+
+
+@pytest.mark.parametrize("network", NETWORKS)
+def test_the_shipped_weights_load(network: str) -> None:
+    assert checkpoint.load(checkpoint.shipped(network), network).config.network == network
 
 
 def test_weights_of_the_other_network_are_refused(path: Path) -> None:

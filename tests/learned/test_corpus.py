@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from pathlib import Path
 
@@ -9,7 +10,8 @@ import numpy as np
 import pytest
 
 from learned import corpus
-from learned.corpus import FLIP_RAD, Corpus, key_of, pack, prepared, read
+from learned.corpus import FLIP_RAD, Corpus, frames, key_of, pack, prepared, read
+from mocap import formats
 from mocap import orientation as ori
 from mocap.errors import PoserError
 from mocap.formats.amass import write_motion
@@ -27,8 +29,14 @@ def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Path]:
     return out
 
 
-def cached(tmp_path: Path) -> list[Path]:
-    return sorted((tmp_path / "cache").glob("*"))
+def entries(tmp_path: Path) -> list[Path]:
+    return sorted((tmp_path / "cache" / "clips").glob("*"))
+
+
+def same(found: Corpus, want: Corpus) -> None:
+    for name in ("q", "p", "sound", "start", "length", "weight"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(want, name))
+    assert found.names == want.names
 
 
 def test_pack_keeps_the_motion() -> None:
@@ -78,18 +86,83 @@ def test_a_slow_motion_has_no_spikes_in_its_accelerations() -> None:
     assert np.abs(kinked[:n] - want[:n]).mean() > 0.5 * size
 
 
-def test_read_makes_one_cache_and_uses_it(
-    files: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def made(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Names of the files that are read, not taken from the cache."""
+    reader, names = corpus.formats.read, []
+
+    def read_file(path: Path) -> formats.Document:
+        names.append(path.name)
+        return reader(path)
+
+    monkeypatch.setattr(corpus.formats, "read", read_file)
+    return names
+
+
+def test_read_takes_each_file_once(files: list[Path], tmp_path: Path, made: list[str]) -> None:
     steps: list[tuple[int, int]] = []
     first = read(files, lambda i, n: steps.append((i, n)))
     assert steps == [(1, 3), (2, 3), (3, 3)]
-    assert len(cached(tmp_path)) == 1
-    monkeypatch.setattr(corpus, "_clips", lambda *_: pytest.fail("read again"))
-    again = read(files)
-    for name in ("q", "p", "sound", "start", "length", "weight"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(first, name))
-    assert again.names == first.names == ("clip0", "clip1", "clip2")
+    assert len(entries(tmp_path)) == 3 and len(made) == 3
+    assert first.names == tuple(str(p) for p in files)
+    clips = [(str(p), prepared(wavy(60 + 10 * k, seed=k))) for k, p in enumerate(files)]
+    np.testing.assert_allclose(first.q, pack(clips).q, atol=1e-6)
+    same(read(files), first)
+    assert len(made) == 3
+
+
+def test_a_file_more_and_a_changed_one_cost_one_reading_each(
+    files: list[Path], tmp_path: Path, made: list[str]
+) -> None:
+    """And leave nothing behind: the changed file's entry is replaced."""
+    read(files[:2])
+    assert read(files).length.tolist() == [60, 70, 80]
+    assert made == ["clip0.npz", "clip1.npz", "clip2.npz"]
+    write_motion(files[0], wavy(90))
+    assert read(files).length.tolist() == [90, 70, 80]
+    assert made[3:] == ["clip0.npz"] and len(entries(tmp_path)) == 3
+
+
+def test_a_clip_too_short_to_train_is_read_once_too(
+    files: list[Path], tmp_path: Path, made: list[str]
+) -> None:
+    write_motion(files[1], wavy(7))
+    for _ in range(2):
+        assert read(files).length.tolist() == [60, 80]
+    assert len(made) == 3
+
+
+def test_a_whole_selection_cached_by_an_earlier_version_is_used(
+    files: list[Path], tmp_path: Path, made: list[str]
+) -> None:
+    """`corpus-KEY.npz`: its clips are named by stems, which here are the files' again."""
+    fresh = read(files[:2])
+    made.clear()
+    old = tmp_path / "cache" / f"corpus-{key_of(files)}.npz"
+    np.savez(
+        old, q=fresh.q, p=fresh.p, sound=fresh.sound, start=fresh.start, length=fresh.length,
+        names=np.array(["clip0", "clip2"]), weight=fresh.weight,
+    )  # fmt: skip
+    found = read(files)
+    assert made == [] and found.names == (str(files[0]), str(files[2]))
+    np.testing.assert_array_equal(found.q, fresh.q)
+    # Two files of one stem: which of them is in there is not known.
+    twin = tmp_path / "other" / "clip0.npz"
+    twin.parent.mkdir()
+    write_motion(twin, wavy(60))
+    (tmp_path / "cache" / f"corpus-{key_of([*files, twin])}.npz").write_bytes(old.read_bytes())
+    assert read([*files, twin]).names == tuple(str(p) for p in [*files, twin])
+
+
+def test_keys_do_not_change_from_version_to_version(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They are kept in the states of runs: with another key those could not go on."""
+    path = tmp_path / "a.npz"
+    path.write_bytes(b"12345")
+    os.utime(path, ns=(7, 7))
+    want = hashlib.sha256(f"4{path.resolve()}|5|7\n".encode()).hexdigest()[:16]
+    assert key_of([path]) == want
 
 
 def test_another_selection_or_a_changed_file_is_another_cache(
@@ -103,24 +176,48 @@ def test_another_selection_or_a_changed_file_is_another_cache(
     assert len(keys) == 5
 
 
-def test_an_interruption_leaves_no_cache(
-    files: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_an_interrupted_reading_goes_on_where_it_was(
+    files: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, made: list[str]
 ) -> None:
-    def broken(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
+    savez = np.savez
 
-    monkeypatch.setattr(corpus.np, "savez", broken)
-    with pytest.raises(KeyboardInterrupt):
-        read(files)
-    assert cached(tmp_path) == []
+    def broken(path: Path, **arrays: object) -> None:
+        if len(entries(tmp_path)) == 2:  # a finished one and the one that is being written
+            raise KeyboardInterrupt
+        savez(path, **arrays)  # type: ignore[arg-type]
+
+    with monkeypatch.context() as patch:
+        patch.setattr(corpus.np, "savez", broken)
+        with pytest.raises(KeyboardInterrupt):
+            read(files)
+    assert len(entries(tmp_path)) == 1  # nothing half written
+    made.clear()
+    read(files)
+    assert made == ["clip1.npz", "clip2.npz"]
 
 
 def test_a_damaged_cache_is_made_anew(files: list[Path], tmp_path: Path) -> None:
     first = read(files)
-    (path,) = cached(tmp_path)
+    path = entries(tmp_path)[1]
     for keep in (0.0, 0.5, 0.99):
         path.write_bytes(path.read_bytes()[: int(keep * path.stat().st_size)])
-        np.testing.assert_array_equal(read(files).q, first.q)
+        same(read(files), first)
+
+
+def test_a_file_that_cannot_be_read_is_left_out_where_somebody_is_told(
+    files: list[Path], tmp_path: Path
+) -> None:
+    files[1].write_bytes(files[1].read_bytes()[:2000])
+    told: list[tuple[Path, PoserError]] = []
+    found = frames(files, unreadable=lambda path, error: told.append((path, error)))
+    assert found == {files[0]: 60, files[2]: 80}
+    same(corpus.cached(found), read([files[0], files[2]]))
+    ((path, error),) = told
+    assert path == files[1] and "clip1.npz" in str(error)
+    with pytest.raises(PoserError, match=r"none of the motions can be read: .*clip1\.npz"):
+        frames(files[1:2], unreadable=lambda *_: None)
+    with pytest.raises(PoserError, match=r"clip1\.npz"):
+        read(files)
 
 
 def test_what_cannot_train_is_refused(files: list[Path], tmp_path: Path) -> None:

@@ -16,16 +16,9 @@ from learned.networks.dip import Gaussian
 from mocap import orientation as ori
 from mocap.motion import Motion
 from mocap.skeleton import MIRROR, Skeleton
-from tests.learned.swing import validation, wavy
+from tests.learned.swing import dip, validation, wavy
 
 MOTION = wavy(80)
-
-
-def dip(**config: object) -> val.Dip:
-    torch.manual_seed(0)
-    model = build(for_network("dip", hidden=8, **config)).eval()
-    assert isinstance(model, val.Dip)
-    return model
 
 
 def test_pose_deviation_against_monte_carlo() -> None:

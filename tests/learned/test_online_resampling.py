@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -140,6 +141,66 @@ def test_whatever_comes_every_sample_gets_a_pose(seed: int, rate_hz: float, futu
             assert np.isfinite(pose.time_s)
     assert count == 40 - estimator.look_ahead_frames
     assert len(state.recent) < 200 and len(state.answers) < 200
+
+
+@pytest.mark.parametrize("late", [1, 2, 3, 7])
+@pytest.mark.parametrize("rate_hz", [20.0, 30.0, 60.0, 70.0, 100.0])
+def test_what_stands_for_nothing_is_never_shown(rate_hz: float, late: int) -> None:
+    """Sensors that never move: once they are there, no identity and no zero is mixed into their values."""
+    R0, acc0 = (
+        ori.exp(np.array([[0.4, 2.0, 0.1], [1.5, 0.3, 0.0]])),
+        np.array([[3.0, 1, 2], [4, 5, 6]]),
+    )
+    shown = []
+
+    class Noting(Echo):
+        def tick(self, *given: Any) -> Any:
+            shown.append(given[3])
+            return super().tick(*given)
+
+    network = Noting(25.0, 0)
+    estimator = Online(network, rate_hz)
+    state = estimator.init()
+    for k in range(round(rate_hz)):
+        valid = np.array([k > 0, k >= late])
+        R, acc = np.where(valid[:, None, None], R0, np.nan), np.where(valid[:, None], acc0, np.nan)
+        state, _ = estimator.step(state, Sample(k / rate_hz, R, acc, valid))
+    assert not shown[0].all() and shown[-1].all()
+    for (R, acc), there in zip(network.seen, shown, strict=True):
+        np.testing.assert_allclose(R[there], R0[there], atol=1e-9)
+        np.testing.assert_allclose(acc[there], acc0[there], atol=1e-9)
+
+
+class Shy(Echo):
+    """Knows nothing of its first three frames."""
+
+    def tick(self, *frame: Any) -> tuple[tuple[Array, ...], Answer | None]:
+        state, answer = super().tick(*frame)
+        return state, answer if len(self.seen) > self.future + 3 else None
+
+
+@pytest.mark.parametrize("future", [0, 2, 5])
+@pytest.mark.parametrize("rate_hz", [25.0, 60.0, 100.0])
+def test_frames_without_an_answer_get_the_next_one_that_there_is(
+    rate_hz: float, future: int
+) -> None:
+    """And no later frame is answered for by another's."""
+    rec = made(rate_hz, 2.0)
+    plain, shy = (Online(n(60.0, future), rate_hz) for n in (Echo, Shy))
+    state, other, a, b = plain.init(), shy.init(), [], []
+    for sample in samples(rec):
+        state, p = plain.step(state, sample)
+        other, q = shy.step(other, sample)
+        assert (p is None) == (q is None)
+        a, b = a + ([p] if p else []), b + ([q] if q else [])
+    known = [k for k, q in enumerate(b) if not q.note]
+    late = int(np.ceil(3 / 60.0 * rate_hz))  # from here on the network knows both ends
+    assert known == list(range(known[0], len(b))) and known[0] <= late
+    for p, q in list(zip(a, b, strict=True))[late:]:
+        assert np.array_equal(p.R_parent_joint, q.R_parent_joint) and p.time_s == q.time_s
+    first = b[known[0]].R_parent_joint
+    early = [k for k in known if k / rate_hz <= 3 / 60.0]
+    assert all(np.abs(b[k].R_parent_joint - first).max() < 1e-9 for k in early)
 
 
 def test_losses_are_held() -> None:

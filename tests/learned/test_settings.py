@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 
+from learned.checkpoint import LARGEST_HIDDEN
 from learned.errors import TrainingError
+from learned.models import Config
 from learned.settings import TrainSettings
 
 
@@ -16,6 +19,7 @@ def test_the_papers_schedules() -> None:
     assert (dip.learning_rate, dip.decay, dip.decay_steps, dip.clip) == (1e-3, 0.96, 2000, 1.0)
     assert (imuposer.learning_rate, imuposer.batch, imuposer.frames) == (3e-4, 256, 125)
     assert imuposer.rate_at(50_000, 0.5) == 3e-4 and math.isinf(imuposer.clip)
+    assert dip.augmentation.splice > 0 and imuposer.augmentation.splice == 0
 
 
 def test_rate_decays_and_cools_down() -> None:
@@ -39,8 +43,9 @@ def test_rate_decays_and_cools_down() -> None:
         ({"cooldown": 2.0}, "cooldown must lie in"),
         ({"minutes": 0.0}, "minutes must be above zero"),
         ({"steps": None}, "steps or minutes must say when the run ends"),
+        ({"config": Config(hidden=LARGEST_HIDDEN + 1)}, "hidden must be 1 to 8192, got 8193"),
     ],
 )
-def test_refusals(changes: dict[str, float | None], said: str) -> None:
+def test_refusals(changes: dict[str, Any], said: str) -> None:
     with pytest.raises(TrainingError, match=said):
-        TrainSettings(**changes)  # type: ignore[arg-type]
+        TrainSettings(**changes)

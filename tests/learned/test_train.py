@@ -19,6 +19,7 @@ from learned.errors import TrainingError
 from learned.features import DIP_JOINTS
 from learned.kinematics import angle_between
 from learned.models import Dip, build, for_network
+from learned.parallel import World
 from learned.train import Trainer, pose_error
 from learned.validation import score
 from mocap.errors import PoserError
@@ -106,28 +107,46 @@ def test_killed_between_validation_and_save(
     whole.run()
     folder = tmp_path / "killed"
     killed = trainer(folder)
-    validate, one = killed._validate, killed._one
+    save = killed._save
 
-    def saved_first(*args: Any) -> None:
-        killed._save()
-        validate(*args)
-
-    def dying() -> float:
-        if killed.step == 5:
+    def dying() -> None:
+        if killed.validated == 5:
             raise SystemExit
-        return one()
+        save()
 
-    monkeypatch.setattr(killed, "_validate", saved_first)
-    monkeypatch.setattr(killed, "_one", dying)
+    monkeypatch.setattr(killed, "_save", dying)
     with pytest.raises(SystemExit):
         killed.run()
     assert [r["step"] for r in log(folder)] == [5]
     with (folder / "log.jsonl").open("a") as f:
         f.write('{"step": 6, "trunc')  # and a line of which half was written
     resumed = trainer(folder)
+    assert resumed.step == 1  # what is saved early
     resumed.run()
     assert [r["step"] for r in log(folder)] == [5, 10, 12]
     equal(weights(resumed), weights(whole))
+
+
+@pytest.mark.parametrize(("kill_at", "saved"), [(3, 1), (5, 5), (7, 5), (11, 10)])
+def test_killed_in_the_first_minute(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kill_at: int, saved: int
+) -> None:
+    """A state is there from the first step on, and after every validation: log and best are not lost."""
+    killed = trainer(tmp_path)
+    one = killed._one
+
+    def dying() -> float:
+        if killed.step == kill_at:
+            raise SystemExit
+        return one()
+
+    monkeypatch.setattr(killed, "_one", dying)
+    with pytest.raises(SystemExit):
+        killed.run()
+    resumed = trainer(tmp_path)
+    assert (resumed.step, resumed.earlier) == (saved, [])
+    resumed.run()
+    assert [r["step"] for r in log(tmp_path)] == [5, 10, 12]
 
 
 @pytest.mark.parametrize("where", ["step", "validation"])
@@ -193,6 +212,40 @@ def test_a_damaged_state_is_refused(tmp_path: Path, keep: float) -> None:
     assert "\n" not in str(caught.value)
 
 
+class _Evil:
+    """Unpickled, it makes a folder."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return os.mkdir, (str(self.path),)
+
+
+def test_a_state_that_would_run_code_is_refused(tmp_path: Path) -> None:
+    """In one sentence of ours, and nothing runs."""
+    trainer(tmp_path / "run").run()
+    state = torch.load(tmp_path / "run" / "state.pt", weights_only=True)
+    evil = state | {"step": _Evil(tmp_path / "made")}
+    torch.save(evil, tmp_path / "run" / "state.pt")
+    with pytest.raises(TrainingError) as caught:
+        trainer(tmp_path / "run")
+    said = str(caught.value)
+    assert said.endswith("state.pt: cannot be resumed from; it is damaged, or holds more than tensors "
+                         "and is not loaded")  # fmt: skip
+    assert not (tmp_path / "made").exists()
+
+
+@pytest.mark.parametrize("lacks", ["step", "numpy", "torch", "model", "settings"])
+def test_a_state_that_lacks_something_is_refused(tmp_path: Path, lacks: str) -> None:
+    trainer(tmp_path).run()
+    state = torch.load(tmp_path / "state.pt", weights_only=True)
+    del state[lacks]
+    torch.save(state, tmp_path / "state.pt")
+    with pytest.raises(TrainingError, match="damaged, or no state of a run"):
+        trainer(tmp_path)
+
+
 def test_a_loss_that_is_not_finite_is_refused(tmp_path: Path) -> None:
     t = trainer(tmp_path)
     with torch.no_grad():
@@ -241,7 +294,8 @@ def test_a_state_of_an_earlier_version_goes_on(
     trainer(tmp_path, tiny(steps=2, every=1)).run()
     state = torch.load(tmp_path / "state.pt", weights_only=True)
     state["best"] = 0.1  # the loss
-    del state["best_error"], state["start"]
+    del state["best_error"], state["start"], state["bfloat16"]
+    del state["model"]["error_covariance"], state["average"]["error_covariance"]
     torch.save(state, tmp_path / "state.pt")
     resumed = trainer(tmp_path, tiny(steps=4, every=1), start=build(tiny().config))
     assert (resumed.step, resumed.best) == (2, 36.0)
@@ -332,10 +386,78 @@ def test_a_start_keeps_its_scalers(tmp_path: Path) -> None:
     )
 
 
-def test_bfloat16_trains_too(tmp_path: Path) -> None:
+def test_bfloat16_trains_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "bfloat16_pays", lambda device, before: True)
     t = trainer(tmp_path, tiny(bfloat16=True))
     t.run()
     assert all(math.isfinite(r["training_loss"]) for r in log(tmp_path))
+    assert t.precision == "bfloat16" == checkpoint.describe(t.files.best)["precision"]
+
+
+def test_bfloat16_is_used_where_it_is_faster(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Elsewhere the run is that of single precision."""
+    monkeypatch.setattr(module, "bfloat16_pays", lambda device, before: False)
+    plain = trainer(tmp_path / "a", tiny())
+    plain.run()
+    asked = trainer(tmp_path / "b", tiny(bfloat16=True))
+    asked.run()
+    equal(weights(plain), weights(asked))
+    assert asked.precision == "float32" == checkpoint.describe(asked.files.best)["precision"]
+
+
+def test_precision_may_change_on_the_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By option or machine; what was measured before is asked for again, over single precision between."""
+    told: list[bool | None] = []
+    monkeypatch.setattr(
+        module, "bfloat16_pays", lambda device, before: told.append(before) or before is None
+    )
+    trainer(tmp_path, tiny(bfloat16=True)).run()
+    other = trainer(tmp_path, tiny(steps=14))
+    assert (other.step, other.precision, told) == (12, "float32", [None])
+    other.run()
+    again = trainer(tmp_path, tiny(steps=16, bfloat16=True))
+    assert (again.step, again.precision, told) == (14, "float32", [None, True])
+    again._save()
+    trainer(tmp_path, tiny(steps=16, bfloat16=True))
+    assert told == [None, True, False]
+
+
+def test_a_process_with_other_settings_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its cooldown would end elsewhere. With the same it takes what the first has, but for the draws."""
+    first = trainer(tmp_path / "a", tiny(steps=12))
+    first.run()
+    monkeypatch.setattr(
+        World, "share", lambda self, value: first._state() | first.identity.to_state()
+    )
+    monkeypatch.setattr(World, "wrapped", lambda self, model: model)
+    with pytest.raises(TrainingError, match="process 1 was given other settings than the first"):
+        trainer(tmp_path / "b", tiny(steps=11), world=World(1, 2))
+    other = trainer(tmp_path / "b", tiny(steps=12), world=World(1, 2))
+    equal(weights(other), weights(first))
+    assert (other.step, other.best) == (12, first.best)
+    assert other.rng.bit_generator.state != first.rng.bit_generator.state
+
+
+def test_the_generator_of_the_gpu_travels_with_the_state(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Dropout is drawn there. (Without a GPU here: that torch is asked and told.)"""
+    states = {"cuda:1": torch.tensor([1, 2, 3], dtype=torch.uint8)}
+    monkeypatch.setattr(torch.cuda, "get_rng_state", lambda device: states[str(device)])
+    gpu, cpu = torch.device("cuda:1"), torch.device("cpu")
+    saved = module.generators(gpu)
+    assert saved.keys() == {"torch", "cuda"} and module.generators(cpu).keys() == {"torch"}
+    found: dict[str, torch.Tensor] = {}
+    monkeypatch.setattr(
+        torch.cuda, "set_rng_state", lambda x, device: found.update({str(device): x})
+    )
+    module.set_generators(cpu, saved)
+    module.set_generators(gpu, module.generators(cpu))  # saved on a CPU
+    assert found == {}
+    module.set_generators(gpu, saved)
+    assert found == states
 
 
 def test_a_small_network_learns_one_clip_by_heart(tmp_path: Path) -> None:

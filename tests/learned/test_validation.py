@@ -8,22 +8,16 @@ import numpy as np
 import pytest
 import torch
 
+from learned import devices
 from learned import validation as val
 from learned.features import COMBINATIONS
 from learned.models import build, for_network
 from mocap import metrics, synthesis
 from mocap import sensors as places
 from mocap.motion import Motion
-from tests.learned.swing import validation, wavy
+from tests.learned.swing import dip, validation, wavy
 
 MOTION = wavy(80)
-
-
-def dip(**config: object) -> val.Dip:
-    torch.manual_seed(0)
-    model = build(for_network("dip", hidden=8, **config)).eval()
-    assert isinstance(model, val.Dip)
-    return model
 
 
 def test_figures_are_those_of_mocap_metrics() -> None:
@@ -92,7 +86,7 @@ def test_the_loss_without_reconstruction_ignores_the_acceleration_heads() -> Non
 
 
 def test_combinations_go_round() -> None:
-    worn = val.worn_in_turn(23, 26)
+    worn = devices.in_turn(23, torch.ones(26, 5, dtype=torch.bool))
     assert worn[0].nonzero().flatten().tolist() == list(COMBINATIONS[23])
     assert worn[1].nonzero().flatten().tolist() == list(COMBINATIONS[0])
     assert torch.equal(worn[1], worn[25])

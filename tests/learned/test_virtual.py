@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -155,6 +156,16 @@ def test_a_generator_repeats() -> None:
     w = windows(wavy(60), augmentation=Augmentation())
     a, b = (w.draw(np.random.default_rng(5), 3) for _ in range(2))
     assert torch.equal(a.acc_world, b.acc_world) and torch.equal(a.R_world_bone, b.R_world_bone)
+
+
+def test_the_corpus_itself_is_not_kept() -> None:
+    """Its rotations take as much memory as the splines through them, which is all that is drawn from."""
+    corpus = pack([("clip", wavy(60))])
+    q, p = weakref.ref(corpus.q), weakref.ref(corpus.p)
+    w = windows(corpus)
+    del corpus
+    assert q() is None and p() is None
+    w.draw(np.random.default_rng(0), 2)
 
 
 def test_splines_go_through_their_points_and_are_smooth(rng: np.random.Generator) -> None:

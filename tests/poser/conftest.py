@@ -30,6 +30,19 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
+def small_runs(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Training of seconds: few windows for scalers and validation, one thread, a cache of the tests' own."""
+    import torch
+
+    from learned import train, validation
+
+    monkeypatch.setattr(train, "_SCALER_BATCHES", 1)
+    torch.set_num_threads(1)  # small networks only wait for each other on several
+    monkeypatch.setattr(validation, "MOST_WINDOWS", {"dip": 12, "imuposer": 6})
+    monkeypatch.setenv("POSER_CACHE", str(tmp_path_factory.getbasetemp() / "poser-cache"))
+
+
+@pytest.fixture
 def answer(capsys: pytest.CaptureFixture[str]) -> Callable[..., Any]:
     """Runs a command that must succeed and returns the JSON that is all of its stdout."""
 

@@ -160,6 +160,13 @@ def test_sensors_without_accelerations_are_told(
     assert said in capsys.readouterr().err
     assert main([*words[:4], "--methods", "sop", "--solver", "banded"]) == 0
     assert "no acceleration" not in capsys.readouterr().err  # SOP does not ask for any
+    # Nor is a sensor told that only the reference reads.
+    acc = np.array(whole.acc_world)
+    acc[:, whole.sensors.index("pelvis")] = np.nan
+    NATIVE.write(tmp_path / "hips.npz", replace(whole, acc_world=acc))
+    words = ["compare", str(tmp_path / "hips.npz"), "-o", str(tmp_path / "d"), "--solver", "banded"]
+    assert main([*words, "--methods", "imuposer", "--reference", "sip-all"]) == 0
+    assert "no acceleration" not in capsys.readouterr().err
 
 
 ONLINE = ("dip", "imuposer", "imuposer-adam", "hybrid-dip", "hybrid-imuposer")

@@ -13,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from mocap import metrics, sensors, synthesis
@@ -325,6 +326,24 @@ def test_too_many_devices_are_named_with_the_option_that_chooses(place: Path) ->
     assert "choose with --devices" in comparison.obstacles(job)["imuposer"]
     with pytest.raises(PoserError, match="choose with --sensors"):
         estimators.check_devices({n: n for n in sensors.FIVE})
+
+
+@pytest.mark.usefixtures("instant")
+@pytest.mark.parametrize("words", [(), ("--devices", "five"), ("--sensors", "five")])
+def test_devices_that_are_never_worn_together_are_all_seen(
+    words: tuple[str, ...], place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two of the five places, then the three others."""
+    worn = read_recording(place / "worn.npz").select(sensors.FIVE)
+    valid = np.zeros((len(worn), 5), bool)
+    valid[:12, [0, 2]], valid[12:, [1, 3, 4]] = True, True
+    write_recording(tmp_path / "moves.npz", replace(worn, valid=valid))
+    line = ["compare", str(tmp_path / "moves.npz"), "-o", str(tmp_path / "o")]
+    assert main([*line, "--methods", "imuposer,hybrid-imuposer", *words]) == 0
+    methods = read(tmp_path / "o")["recordings"][0]["methods"]
+    for name in ("imuposer", "hybrid-imuposer"):
+        assert methods[name]["used_sensors"] == list(sensors.FIVE)
+    assert "devices that it could" not in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,9 @@ from learned.models import build, for_network
 from learned.refine import AdamEstimator
 from mocap import Skeleton, sensors, synthesis
 from mocap.errors import PoserError
+from mocap.estimator import samples
 from mocap.formats.native import FORMAT
+from mocap.recording import Recording
 from poser import estimators, files, motions, tracking
 from poser.__main__ import main
 from poser.commands import track
@@ -122,6 +124,86 @@ def test_fewer_frames_than_the_look_ahead_are_told(
         assert said == told and len(files.motion(tmp_path / "o.npz")) == frames
 
 
+def handed_over(
+    phone: tuple[str, str] = ("left_pocket", "right_pocket"), s: float = 4.0
+) -> Recording:
+    """A watch, earphones and a phone at 25 Hz that changes places half way: four columns, three devices."""
+    made = synthesis.recording(
+        motions.walk(s + 2, 25.0), ("left_wrist", *phone, "head"), synthesis.NOISES["none"], 3
+    ).slice(50, 50 + round(s * 25))
+    valid, half = np.array(made.valid), len(made) // 2
+    valid[half:, 1] = False
+    valid[:half, 2] = False
+    return replace(made, valid=valid)
+
+
+def all_five() -> Recording:
+    """Two devices, then three others: all five places, never more than three of them at once."""
+    made = synthesis.recording(motions.walk(6.0, 25.0), sensors.FIVE, synthesis.NOISES["none"], 3)
+    valid = np.zeros((len(made), 5), bool)
+    valid[:75, [0, 2]] = True
+    valid[75:, [1, 3, 4]] = True
+    return replace(made, valid=valid)
+
+
+@pytest.mark.parametrize("words", [(), ("--sensors", "all")])
+@pytest.mark.parametrize("make", [handed_over, all_five])
+@pytest.mark.parametrize("method", ["imuposer", "imuposer-adam", "hybrid"])
+def test_devices_that_are_never_worn_together_are_all_tracked(
+    method: str, make: Callable[[], Recording], words: tuple[str, ...], place: Path, tmp_path: Path,
+    answer: Callable[..., Any], capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    """Chosen by default, not refused by name; and those of the second half do move the pose there."""
+    recording = make()
+    assert FORMAT.write is not None
+    FORMAT.write(tmp_path / "rec.npz", recording)
+    network = ("--network", "imuposer") if method == "hybrid" else ()
+    given = ("--method", method, *network, "--weights", place / "imuposer.safetensors")
+    rec, out = tmp_path / "rec.npz", tmp_path / "out.npz"
+    said = answer("track", rec, "-o", out, *given, *words)
+    assert said["used_sensors"] == [n for n in sensors.FIVE if n in recording.sensors]
+    assert said["frames"] == len(recording)
+    # Only while both of the phone's places count as worn, half a second, is one left out; nothing else is.
+    left_out = {k: n for k, n in said["notes"].items() if "is used" in k}
+    assert sum(left_out.values()) <= 13
+    other = {k: n for k, n in said["notes"].items() if k not in left_out}
+    assert set(other) <= {"no sensor measured"} and sum(other.values()) <= 2
+    half = len(recording) // 2 + 15
+    few = recording.sensors[:2]  # those of the first half alone
+    assert main(["track", str(rec), "-o", str(tmp_path / "few.npz"), *map(str, given),
+                 "--sensors", ",".join(few)]) == 0  # fmt: skip
+    a, b = (files.motion(p).R_parent_joint for p in (out, tmp_path / "few.npz"))
+    assert np.abs(a[half:] - b[half:]).max() > 1e-3
+
+
+def test_devices_worn_together_are_chosen_from_as_ever(
+    place: Path, tmp_path: Path, answer: Callable[..., Any], refusal: Callable[..., Any]
+) -> None:
+    """One frame in which four are valid is enough; in the part without it all are taken."""
+    recording = handed_over()
+    valid, half = np.array(recording.valid), len(recording) // 2
+    valid[half - 1, 2] = True
+    assert FORMAT.write is not None
+    FORMAT.write(tmp_path / "rec.npz", replace(recording, valid=valid))
+    pockets = handed_over().select(("left_pocket", "right_pocket", "head"))
+    valid = np.array(pockets.valid)
+    valid[0] = True
+    FORMAT.write(tmp_path / "pockets.npz", replace(pockets, valid=valid))
+    words = ("--method", "imuposer", "--weights", place / "imuposer.safetensors")
+    out = ("-o", tmp_path / "out.npz")
+    said = answer("track", tmp_path / "rec.npz", *out, *words)
+    assert said["used_sensors"] == ["left_wrist", "right_pocket", "head"]
+    later = recording.start_s + (half + 2) / 25
+    said = answer("track", tmp_path / "rec.npz", *out, *words, "--from", later)
+    assert len(said["used_sensors"]) == 4
+    _, why = refusal("track", tmp_path / "rec.npz", *out, *words, "--sensors", "all")
+    assert "one to three devices at a time, not on 4 devices: choose with --sensors" in why
+    said = answer("track", tmp_path / "pockets.npz", *out, *words)
+    assert said["used_sensors"] == ["left_pocket", "head"]
+    _, why = refusal("track", tmp_path / "pockets.npz", *out, *words, "--sensors", "all")
+    assert "not on both pockets and the head together" in why
+
+
 REFUSED = [
     (("five", "--method", "dip"), 1, "no left_shank, right_shank, pelvis"),
     (("five", "--method", "imuposer", "--sensors", "five"), 1, "choose with --sensors"),
@@ -217,6 +299,29 @@ def test_every_stand_in_is_on_the_same_bone() -> None:
             assert sensors.lookup(place).joint == sensors.lookup(sensor).joint
 
 
+def test_what_is_worn_at_once() -> None:
+    recording = handed_over()
+    found = estimators.used("imuposer", recording.sensors)
+    three = set(estimators.at_once(found, recording))
+    assert len(found) == 4 and three in ({"left_wrist", "left_pocket", "head"},
+                                         {"left_wrist", "right_pocket", "head"})  # fmt: skip
+    # An orientation decides: a sample of acceleration alone says nothing of where a device is.
+    R = np.array(recording.R_world_bone)
+    valid = np.ones_like(recording.valid)
+    R[~recording.valid] = np.nan
+    half = replace(recording, R_world_bone=R, acc_world=np.ones(R.shape[:3]), valid=valid)
+    assert half.valid.all() and len(estimators.at_once(found, half)) == 3
+    assert estimators.at_once(found, replace(recording, valid=np.zeros_like(valid))) == {}
+    # Of sets of three, the one that IMUPoser is not trained on is the one to be told.
+    pockets = ("left_pocket", "right_pocket", "head")
+    valid = np.zeros_like(valid)
+    valid[:9, [0, 1, 3]], valid[9:, 1:] = True, True
+    assert set(estimators.at_once(found, replace(recording, valid=valid))) == set(pockets)
+    # Without a recording (`poser live`) all are taken for worn together.
+    assert estimators.everyday(sensors.FIVE) == ("left_wrist", "right_pocket", "head")
+    assert estimators.everyday(pockets) == pockets
+
+
 def test_networks_of_methods() -> None:
     assert estimators.network_of("hybrid") == "dip"
     assert estimators.network_of("hybrid", "imuposer") == "imuposer"
@@ -236,6 +341,39 @@ def test_all_five_places_may_be_given_where_devices_come_and_go(place: Path) -> 
     assert made.sensors == sensors.FIVE
     with pytest.raises(PoserError, match="window"):
         estimators.make("imuposer", 30.0, sensors.FIVE, weights=weights, window=(20, 5))
+
+
+@pytest.mark.parametrize("rate_hz", [25.0, 60.0])
+@pytest.mark.parametrize("method", ["imuposer", "imuposer-adam", "hybrid"])
+def test_a_stream_before_its_first_device(method: str, rate_hz: float, place: Path) -> None:
+    """Each sample has its pose; those that could not wait for a device say so, no other does."""
+    made = estimators.make(
+        method,
+        rate_hz,
+        ("left_wrist", "head"),
+        network="imuposer",
+        weights=place / "imuposer.safetensors",
+    )
+    late, ahead = 30, made.look_ahead_frames
+    rec = synthesis.recording(motions.walk(3.0, rate_hz), made.sensors, synthesis.NOISES["none"], 0)
+    rows = list(samples(rec.slice(1, 70)))
+    state, poses = made.init(), []
+    for k, row in enumerate(rows):
+        state, pose = made.step(state, replace(row, valid=row.valid & (k >= late)))
+        assert (pose is None) == (k < ahead)
+        poses += [pose] if pose is not None else []
+    unknown = ["no pose yet" in p.note for p in poses]
+    first = unknown.index(False)
+    assert late - ahead <= first <= late and not any(unknown[first:])
+    for pose in poses:
+        assert np.isfinite(pose.R_parent_joint).all()
+    # Those that waited are the first answer's, not on a way to it from the T-pose. What refines a pose has no
+    # measurement of their time.
+    R = np.stack([p.R_parent_joint for p in poses])
+    assert np.ptp(R[first:late], axis=0).max(initial=0) < 1e-3 if ahead else first == late
+    if method == "imuposer":
+        assert np.abs(R[first:late] - R[late]).max(initial=0) < 1e-5
+    assert np.abs(R[0] - R[late]).max() > 0.3
 
 
 def test_the_hybrid_and_adam_know_where_the_recordings_sensors_sit(place: Path) -> None:

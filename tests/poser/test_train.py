@@ -5,9 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
-import socket
-import subprocess
-import sys
+import weakref
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,28 +14,20 @@ import numpy as np
 import pytest
 import torch
 
-from learned import checkpoint, train, validation
+from learned import checkpoint, corpus, train
 from learned.export import PRECISION_ONLINE
 from mocap import sensors, synthesis
 from mocap.formats.amass import write_motion
 from mocap.formats.bvh import write_motion as write_bvh
 from mocap.formats.native import write_recording
-from poser import commands, motions, training
+from poser import motions, training
 from poser.__main__ import main
+from poser.commands import train as train_command
+from tests.poser.runs import SMALL, together
 
 Answer = Callable[..., Any]
 Refusal = Callable[..., tuple[int, str]]
-SMALL = ["--hidden", "8", "--batch", "2", "--frames", "12", "--every", "2", "--no-dropout"]
-
-
-@pytest.fixture(autouse=True)
-def _small(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> None:
-    monkeypatch.setattr(train, "_SCALER_BATCHES", 1)
-    torch.set_num_threads(1)  # small networks only wait for each other on several
-    monkeypatch.setattr(validation, "MOST_WINDOWS", {"dip": 12, "imuposer": 6})
-    monkeypatch.setenv("POSER_CACHE", str(tmp_path_factory.getbasetemp() / "poser-cache"))
-    missing = tuple(n for n in ("train", "finetune") if n not in commands.NAMES)
-    monkeypatch.setattr(commands, "NAMES", commands.NAMES + missing)
+pytestmark = pytest.mark.usefixtures("small_runs")
 
 
 @pytest.fixture(scope="module")
@@ -93,6 +83,104 @@ def test_train_resume_export(
     assert "goes on at step 6" in said.out and "validation sip" in said.out
     assert "every tenth motion by name, 1 of them (clip0)" in said.err
     assert "1 files in the folders are no motions" in said.err
+
+
+def broken(clips: Path, top: Path) -> Path:
+    """The clips' motions in a folder, and by name before them one cut short and one that is not finite."""
+    top.mkdir()
+    for path in clips.rglob("clip*.npz"):
+        (top / path.name).write_bytes(path.read_bytes())
+    whole = (top / "clip0.npz").read_bytes()
+    (top / "a-cut.npz").write_bytes(whole[: len(whole) // 2])
+    with np.load(top / "clip1.npz") as fields:
+        np.savez(top / "b-nan.npz", **(dict(fields) | {"trans": fields["trans"] * np.nan}))
+    return top
+
+
+def test_broken_files_in_folders_are_left_out(
+    clips: Path, tmp_path: Path, answer: Answer, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By name the first validates: of those that can be read."""
+    top = broken(clips, tmp_path / "m")
+    words = ["train", "dip", top, *SMALL, "--steps", "2", "-o", tmp_path / "r"]
+    data = answer(*words)["data"]
+    assert (data["clips"], data["validation_clips"], data["left_out"]) == (2, 1, 2)
+    capsys.readouterr()
+    assert main([str(w) for w in words]) == 0
+    said = capsys.readouterr().err
+    assert "2 files in the folders cannot be read and were left out" in said
+    assert "a-cut.npz" in said and "b-nan.npz" in said and "1 of them (clip0)" in said
+    # As if they were not there: the same run goes on, on the same motions.
+    for name in ("a-cut.npz", "b-nan.npz"):
+        (top / name).unlink()
+    assert answer(*words)["begun_at_step"] == 2
+
+
+def test_a_broken_file_that_the_user_names_is_an_error(
+    clips: Path, tmp_path: Path, refusal: Refusal
+) -> None:
+    top = broken(clips, tmp_path / "m")
+    for words in ([top, top / "a-cut.npz"], [clips, "--validation", top / "a-cut.npz"]):
+        _, said = refusal("train", "dip", *words, *SMALL, "--steps", "2", "-o", tmp_path / "r")
+        assert "a-cut.npz" in said
+    only = tmp_path / "only"
+    only.mkdir()
+    (top / "b-nan.npz").rename(only / "b-nan.npz")
+    _, said = refusal("train", "dip", only, *SMALL, "--steps", "2", "-o", tmp_path / "r")
+    assert "none of the motions can be read" in said and "b-nan.npz" in said
+
+
+def test_no_more_validation_files_are_read_than_are_looked_at(
+    clips: Path, tmp_path: Path, answer: Answer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(train_command, "VALIDATED", 1)
+    first, *others = sorted(clips.rglob("clip*.npz"))
+    words = ["train", "dip", first, "--validation", *others, *SMALL, "--steps", "2"]
+    assert answer(*words, "-o", tmp_path / "r")["data"]["validation_clips"] == 1
+
+
+def test_the_corpus_is_gone_while_training(
+    clips: Path, tmp_path: Path, answer: Answer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It would double the memory: windows are drawn from splines."""
+    made, left = corpus.cached, []
+    run = train.Trainer.run
+
+    def watched(found: Any) -> corpus.Corpus:
+        c = made(found)
+        left.append(weakref.ref(c.q))
+        return c
+
+    def looked(self: train.Trainer, progress: Any = None) -> Path:
+        assert [ref() for ref in left] == [None]
+        return run(self, progress)
+
+    monkeypatch.setattr(corpus, "cached", watched)
+    monkeypatch.setattr(train.Trainer, "run", looked)
+    words = ["train", "dip", clips, *SMALL, "--steps", "2", "--share", "0.5"]
+    assert answer(*words, "-o", tmp_path / "r")["step"] == 2 and left
+
+
+def test_the_covariance_is_of_the_share_that_was_learnt(
+    clips: Path, tmp_path: Path, answer: Answer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Files of one stem, as AMASS has them, are not taken for each other."""
+    for k, path in enumerate(sorted(clips.rglob("clip*.npz"))):
+        (tmp_path / "m" / str(k)).mkdir(parents=True)
+        (tmp_path / "m" / str(k) / "clip.npz").write_bytes(path.read_bytes())
+    cut, shown = train_command._windows, []
+
+    def watched(network: str, paths: Any) -> Any:
+        shown.append(sorted(p.parent.name for p in paths))
+        return cut(network, paths)
+
+    monkeypatch.setattr(train_command, "_windows", watched)
+    words = ["train", "dip", tmp_path / "m", *SMALL, "--steps", "2"]
+    for share in ("1", "0.5"):
+        out = tmp_path / f"r{share}"
+        answer(*words, "-o", out, "--share", share, "--export", out.with_suffix(".safetensors"))
+    assert shown[:3] == [["0"], ["1", "2"], ["0"]]
+    assert shown[3] in (["1"], ["2"])
 
 
 def test_a_motion_found_twice_does_not_validate_what_it_trains(
@@ -154,17 +242,12 @@ def test_the_projects_own_clips(
     about = found["data"]
     card = (tmp_path / "cmu.md").read_text()
     assert "licence of these weights: MIT" in card and "mocap.cs.cmu.edu" in card
-    # What weights begin with may ask for more than what they see.
-    start = tmp_path / "start.safetensors"
-    model = checkpoint.load(tmp_path / "cmu.safetensors")
-    checkpoint.save(model, start, {"licence": "CC BY-NC 4.0"})
-    assert answer(*words, "-o", tmp_path / "on", "--start", start)["licence"] == "CC BY-NC 4.0"
     assert (about["clips"], about["validation_clips"]) == (2, 1)  # 02 tests, 06 validates
     assert "Bandai" not in about["what"]
     found = answer(*words, "-o", tmp_path / "both", "--collections", "cmu", "bandai")
     about = found["data"]
     assert found["licence"] == "CC BY-NC 4.0"
-    # Every tenth of Bandai's validates.
+    # Of Bandai's every tenth is for validation, of which every twelfth is looked at: here the first, "a".
     assert (about["clips"], about["validation_clips"]) == (4, 2)
     assert "CC BY-NC 4.0" in about["what"]
 
@@ -181,6 +264,54 @@ def test_weights_to_start_from(
     assert "holds another network" in said
     _, said = refusal("train", "imuposer", clips, "-o", tmp_path / "c", "--start", start)
     assert "weights of dip, expected imuposer" in said
+
+
+def test_licence_and_credit_of_the_start_are_kept(
+    clips: Path, tmp_path: Path, answer: Answer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a chain of three runs; what weights begin with may ask for more than what they see."""
+    words: list[Any] = ["train", "dip", *SMALL, "--steps", "2"]
+    first = tmp_path / "first.safetensors"
+    found = answer(*words[:2], clips, *words[2:], "-o", tmp_path / "a", "--export", first)
+    assert found["licence"] == "that of the motions"
+    strict = {"licence": "CC BY-NC 4.0", "data": {"credit": "Bandai."}}
+    checkpoint.save(checkpoint.load(first), tmp_path / "strict.safetensors", strict)
+    second = tmp_path / "second.safetensors"
+    words += ["--export", second]
+    answer(
+        *words[:2],
+        clips,
+        *words[2:],
+        "-o",
+        tmp_path / "b",
+        "--start",
+        tmp_path / "strict.safetensors",
+    )
+    card = second.with_suffix(".md").read_text()
+    assert "licence of these weights: that of the motions, and CC BY-NC 4.0\n" in card
+    assert "credit: Bandai.\n" in card
+    assert checkpoint.describe(second)["started_from"] == "strict.safetensors"
+    # The project's own clips after that: nothing is lost, nothing said twice, the stricter one wins.
+    monkeypatch.setenv("POSER_CACHE", str(tmp_path / "cache"))
+    (tmp_path / "cache" / "cmu-daz-bvh").mkdir(parents=True)
+    for name in ("06_01", "07_01"):
+        write_bvh(tmp_path / "cache" / "cmu-daz-bvh" / f"{name}.bvh", motions.squat(2.0))
+    third = answer(*words[:-2], "-o", tmp_path / "c", "--start", second)
+    assert third["licence"] == "that of the motions, and CC BY-NC 4.0"
+    assert "mocap.cs.cmu.edu" in third["data"]["credit"] and third["data"]["credit"].endswith(
+        "Bandai."
+    )
+    checkpoint.save(checkpoint.load(first), tmp_path / "bare.safetensors", {})
+    found = answer(*words[:-2], "-o", tmp_path / "d", "--start", tmp_path / "bare.safetensors")
+    assert found["licence"] == "MIT, and the unstated one of bare.safetensors"
+
+
+def test_without_accelerations_none_are_reconstructed(
+    clips: Path, tmp_path: Path, answer: Answer
+) -> None:
+    words = ["train", "dip", clips, *SMALL, "--steps", "2", "-o", tmp_path / "r", "--no-acc"]
+    found = answer(*words)["settings"]
+    assert (found["config"]["use_acc"], found["reconstruct_acc"]) == (False, False)
 
 
 def test_a_run_with_other_settings_or_motions_is_left_alone(
@@ -202,6 +333,8 @@ def test_a_run_with_other_settings_or_motions_is_left_alone(
     [
         (["imuposer", "CLIPS", "--architecture", "rnn"], 2, "--architecture: for dip only"),
         (["imuposer", "CLIPS", "--no-acc"], 2, "--no-acc: for dip only"),
+        (["dip", "CLIPS", "--architecture", "wavenet", "--hidden", "9"], 2, "--hidden: not with"),
+        (["dip", "CLIPS", "--hidden", "9000"], 1, "hidden must be 1 to 8192"),
         (["dip", "CLIPS", "--frames", "4"], 1, "frames must be 8 or more"),
         (["dip", "CLIPS", "--steps", "0"], 2, "not an integer of one or more"),
         (["dip", "CLIPS", "--share", "1.5"], 2, "not a share"),
@@ -254,12 +387,6 @@ def test_ctrl_c_leaves_130_and_a_sentence(
     assert answer(*words)["begun_at_step"] == 3
 
 
-def _free_port() -> int:
-    with socket.socket() as s:
-        s.bind(("127.0.0.1", 0))
-        return int(s.getsockname()[1])
-
-
 def test_two_processes_train_one_network(clips: Path, tmp_path: Path) -> None:
     """As torchrun starts them (gloo): the same weights in both, one of them writes."""
     folder = str(tmp_path / "r")
@@ -277,8 +404,6 @@ def test_two_processes_train_one_network(clips: Path, tmp_path: Path) -> None:
     ]
     code = (
         "import sys\n"
-        "from poser import commands\n"
-        "commands.NAMES += tuple(n for n in ('train',) if n not in commands.NAMES)\n"
         "from learned import train\n"
         "train._SCALER_BATCHES = 1\n"
         "run = train.Trainer.run\n"
@@ -291,23 +416,13 @@ def test_two_processes_train_one_network(clips: Path, tmp_path: Path) -> None:
         "from poser.__main__ import main\n"
         f"sys.exit(main({words!r}))\n"
     )
-    port = str(_free_port())
-    running = []
-    for rank in range(2):
-        world = {
-            "WORLD_SIZE": "2", "RANK": str(rank), "LOCAL_RANK": str(rank),
-            "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port, "OMP_NUM_THREADS": "1",
-        }  # fmt: skip
-        running.append(
-            subprocess.Popen(
-                [sys.executable, "-c", code], env=os.environ | world, text=True,
-                stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-            )
-        )  # fmt: skip
-    said = [p.communicate(timeout=240) for p in running]
-    assert [p.returncode for p in running] == [0, 0], said
-    assert json.loads(said[0][0])["step"] == 4 and said[1][0] == ""
-    totals = [next(x for x in err.splitlines() if x.startswith("TOTAL")).split() for _, err in said]
+    found = together([code, code])
+    assert [status for status, _, _ in found] == [0, 0], found
+    (_, out, first), (_, nothing, other) = found
+    assert json.loads(out)["step"] == 4 and nothing == ""
+    totals = [
+        next(x for x in err.splitlines() if x.startswith("TOTAL")).split() for err in (first, other)
+    ]
     assert totals[0][1] == totals[1][1]  # gradients were shared
     assert totals[0][2] != totals[1][2]  # windows were not
     assert [r["step"] for r in training.read_log(tmp_path / "r")] == [2, 4]
@@ -384,7 +499,7 @@ def test_what_cannot_be_fine_tuned_on(
     words = ["finetune", "dip", "-o", tmp_path / "b", *start]
     for name, sentence in (
         ("bare.npz", "holds no reference motion to learn from"),
-        ("few.npz", "not in the recording"),
+        ("few.npz", "there is no left_shank, right_shank, pelvis"),
     ):
         status, said = refusal(*words, tmp_path / name)
         assert status == 1 and sentence in said and name in said

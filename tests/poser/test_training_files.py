@@ -8,7 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mocap import formats
 from mocap.errors import PoserError
+from mocap.formats import amass
 from poser import training_files
 from poser.console import UsageError
 
@@ -71,3 +73,16 @@ def test_an_absent_file_and_an_empty_folder(tmp_path: Path) -> None:
     (tmp_path / "broken.npz").symlink_to(tmp_path / "nowhere")
     with pytest.raises(PoserError, match=r"broken\.npz: No such file"):
         training_files.recordings([tmp_path])
+
+
+def test_a_file_that_may_not_be_opened_does_not_end_the_search(
+    many: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def closed(path: Path) -> formats.Format:
+        if path.name == "a.npz":
+            raise PermissionError(13, "Permission denied")
+        return amass.FORMAT
+
+    monkeypatch.setattr(formats, "detect", closed)
+    found = training_files.motions([many])
+    assert many / "b.npz" in found and many / "a.npz" not in found
