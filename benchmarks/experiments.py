@@ -9,11 +9,11 @@ in the papers' tables.
 Trained: dip-tables (Tables 2, 3: RNN and BiRNN with and without acceleration loss and dropout, offline and
 online), dip-networks (Tables 4, 5: feed-forward, WaveNet, no accelerations), normalisations (appendix C),
 share (25, 50, 100 % of the clips), hidden (64, 128, 256), augmentation (on, off), noise-gap (clean and noisy
-training against clean and noisy test), licence (with and without Bandai's clips), imuposer-limits (clips,
-units, augmentation, noise, Bandai), one-clip (learnt by heart), hybrid-share (the hybrid around the networks
-of share). Of given weights (--weights): dip-window (Fig. 6),
-dip-histogram (Fig. 5), dip-validation and imuposer-validation (validation clips of CMU and of Bandai),
-imuposer-devices (Fig. 6), imuposer-regions (Fig. 8).
+training against clean and noisy test), licence (with and without Bandai's clips, with generated motion),
+imuposer-limits (clips, units, augmentation, noise, Bandai), one-clip (learnt by heart), hybrid-share (the
+hybrid around the networks of share). Of given weights (--weights): dip-window (Fig. 6), dip-histogram (Fig.
+5), dip-validation and imuposer-validation (validation clips of CMU and of Bandai), imuposer-devices (Fig. 6),
+imuposer-regions (Fig. 8).
 """
 
 from __future__ import annotations
@@ -45,8 +45,9 @@ from mocap import Motion, dataset, sensors
 from mocap.errors import PoserError
 from mocap.estimator import Estimator, replay
 from mocap.synthesis import Noise
-from poser.commands.train import BANDAI_STEP, SHARES
+from poser.commands.train import BANDAI_STEP, own_clips
 
+BOTH = ("cmu", "bandai")
 CLEAN = Noise.none()
 # Runs are short beside the papers': without it the last steps' noise is what is compared.
 COOLDOWN = 0.35
@@ -63,14 +64,14 @@ class Variant:
     config: dict[str, Any]
     settings: dict[str, Any]
     share: float = 1.0
-    corpora: tuple[str, ...] = tuple(SHARES)
+    corpora: tuple[str, ...] = BOTH
     network: str = "dip"
 
 
 def variant(
     name: str,
     share: float = 1.0,
-    corpora: tuple[str, ...] = tuple(SHARES),
+    corpora: tuple[str, ...] = BOTH,
     network: str = "dip",
     **changes: Any,
 ) -> Variant:
@@ -121,12 +122,13 @@ TRAINED: dict[str, list[Variant]] = {
     "licence": [
         variant("CMU and Bandai"),
         variant("CMU alone", corpora=("cmu",)),
+        variant("CMU and generated motion", corpora=("cmu", "generated")),
     ],
     "imuposer-limits": [
         _imuposer("CMU alone"),
         _imuposer("limbs not spliced", augmentation=replace(Augmentation(), splice=0.0)),
         _imuposer("not augmented", augmentation=UNVARIED),
-        _imuposer("with Bandai's clips", corpora=tuple(SHARES)),
+        _imuposer("with Bandai's clips", corpora=BOTH),
         _imuposer("25 % of the clips", share=0.25),
         _imuposer("half the units", hidden=128),
         _imuposer("trained clean", augmentation=replace(
@@ -144,8 +146,7 @@ ONLINE = {"offline": None, "(20,5)": (20, 5), "(50,5)": (50, 5), "(20,0)": (20, 
 
 @cache
 def training_clips(corpora: tuple[str, ...]) -> corpus.Corpus:
-    parts = [corpus.read(dataset.files("train", (c,))) for c in corpora]
-    return corpus.Corpus.join(parts, [SHARES[c] for c in corpora])
+    return own_clips(corpora)[0]
 
 
 def folder_of(name: str, what: Any, args: argparse.Namespace) -> Path:
@@ -164,7 +165,7 @@ def trained(v: Variant, args: argparse.Namespace) -> Model:
                      "cooldown": COOLDOWN} | v.settings)
     )  # fmt: skip
     # Experiments that share a network train it once.
-    what = [settings.to_json(), v.share] + ([v.corpora] if v.corpora != tuple(SHARES) else [])
+    what = [settings.to_json(), v.share] + ([v.corpora] if v.corpora != BOTH else [])
     folder = folder_of(network, what, args)
     clips = training_clips(v.corpora)
     if v.share < 1:
@@ -305,7 +306,7 @@ def rows_of_regions(model: Model) -> Iterable[dict[str, Any]]:
 
 def rows_of_validation(model: Model) -> Iterable[dict[str, Any]]:
     """The validation clips of each collection, as training looks at them."""
-    for collection in SHARES:
+    for collection in BOTH:
         paths = dataset.files("validation", (collection,))
         paths = paths[::BANDAI_STEP] if collection == "bandai" else paths
         held = cut_for(

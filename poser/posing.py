@@ -21,7 +21,7 @@ ARM_DOWN = np.deg2rad(80.0)  # the N-pose of the design: upper arms 80 degrees b
 COLLAR_SHARE = 0.2  # of an arm raised sideways, the part that the collar turns
 SPINE = (3, 6, 9)
 HIPS, KNEES, ANKLES = (1, 2), (4, 5), (7, 8)
-COLLARS, SHOULDERS, ELBOWS = (13, 14), (16, 17), (18, 19)
+COLLARS, SHOULDERS, ELBOWS, WRISTS = (13, 14), (16, 17), (18, 19), (20, 21)
 SIDES = (1.0, -1.0)  # left, right: the sign that mirrors a rotation about y or z
 
 

@@ -26,11 +26,13 @@ if TYPE_CHECKING:
     from poser.console import Progress
 
 HELP = "train a network on motion capture"
-# Of the windows where several collections are asked for: Bandai's is larger and repetitive.
-SHARES = {"cmu": 0.65, "bandai": 0.35}
+# Of the windows where several collections are asked for: Bandai's is larger and repetitive, nobody moves as
+# the generated one does.
+SHARES = {"cmu": 0.65, "bandai": 0.35, "generated": 0.25}
 SOURCES = {
     "cmu": "CMU Graphics Lab mocap (mocap.cs.cmu.edu)",
     "bandai": "Bandai-Namco-Research-Motiondataset-2 (CC BY-NC 4.0)",
+    "generated": "motion drawn at random (poser.generated)",
 }
 CREDITS = {
     "cmu": "The data used was obtained from mocap.cs.cmu.edu, created with funding from NSF EIA-0196217.",
@@ -54,7 +56,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--collections", nargs="+", choices=tuple(SHARES),
         help="without MOTION: which of the project's collections to train on (default: cmu; weights "
-        "trained on bandai are for non-commercial use)",
+        "trained on bandai are for non-commercial use; generated: motion drawn at random, beside another)",
     )  # fmt: skip
     parser.add_argument(
         "--share", type=training.share, default=1.0, metavar="X",
@@ -84,6 +86,7 @@ def run(args: Namespace) -> int:
     from learned import checkpoint, parallel
     from learned.train import Trainer
     from learned.virtual import Windows
+    from poser import generated
 
     start = None
     if args.start:
@@ -95,7 +98,7 @@ def run(args: Namespace) -> int:
     if args.share < 1:
         corpus = corpus.subset(args.share, settings.seed)
         about["clips"] = len(corpus.names)
-    learnt = [Path(name) for name in corpus.names]
+    learnt = [Path(name) for name in corpus.names if not name.startswith(generated.NAME)]
     world = parallel.join(args.device)
     config = settings.config
     windows = Windows(
@@ -202,28 +205,52 @@ def _motions(paths: Sequence[Path]) -> Iterator[tuple[str, Motion]]:
         yield path.stem, files.motion(path, quiet=True)
 
 
+def own_clips(collections: Sequence[str], tell: Progress | None = None) -> tuple[Corpus, list[str]]:
+    """The training clips (`mocap.dataset`) of these of the project's collections, drawn from by `SHARES`; a
+    key of each collection that changes with them."""
+    from learned import corpus
+    from mocap import dataset
+    from poser import generated
+
+    parts, keys = [], []
+    for k, collection in enumerate(collections):
+        forward = part(tell, k / len(collections), (k + 1) / len(collections)) if tell else None
+        if collection == "generated":
+            if forward:
+                forward(0.0, "drawing motions at random")
+            parts.append(corpus.pack((n, corpus.prepared(m)) for n, m in generated.motions()))
+            keys.append(f"{generated.NAME} {generated.VERSION}")
+            continue
+        paths = dataset.files("train", (collection,))
+        parts.append(
+            corpus.read(
+                paths,
+                lambda i, n, f=forward: f(i / n, f"reading {i} of {n} motions") if f else None,  # type: ignore[misc]
+            )
+        )
+        keys.append(corpus.key_of(paths))
+    return corpus.Corpus.join(parts, [SHARES[c] for c in collections]), keys
+
+
 def _own_split(
     network: str, collections: Sequence[str], tell: Progress
 ) -> tuple[Corpus, Windowed, dict[str, Any]]:
-    """The project's training and validation clips (`mocap.dataset`) of these collections."""
-    from learned import corpus
+    """The training clips of these collections, and windows of their validation clips."""
     from mocap import dataset
 
-    parts, keys, held = [], [], []
-    for k, collection in enumerate(collections):
-        paths = dataset.files("train", (collection,))
-        forward = part(tell, 0.9 * k / len(collections), 0.9 * (k + 1) / len(collections))
-        parts.append(
-            corpus.read(paths, lambda i, n, f=forward: f(i / n, f"reading {i} of {n} motions"))  # type: ignore[misc]
-        )
-        keys.append(corpus.key_of(paths))
+    captured = [c for c in collections if c != "generated"]
+    if not captured:
+        raise UsageError("argument --collections: generated only beside another, which validates")
+    clips, keys = own_clips(collections, part(tell, 0.0, 0.9))
+    held = []
+    for collection in captured:
         mine = dataset.files("validation", (collection,))
         held += mine[::BANDAI_STEP] if collection == "bandai" else mine
     windows = _windows(network, held)
-    clips = corpus.Corpus.join(parts, [SHARES[c] for c in collections])
     about = {
-        "what": " and ".join(SOURCES[c] for c in collections) + ", training clips of the project's split",
-        "credit": " ".join(CREDITS[c] for c in collections),
+        "what": " and ".join(SOURCES[c] for c in captured) + ", training clips of the project's split"
+        + (f"; {SOURCES['generated']}" if "generated" in collections else ""),
+        "credit": " ".join(CREDITS[c] for c in captured),
         "key": " ".join(keys), "clips": len(clips.names), "minutes": round(clips.seconds / 60, 1),
         "validation_clips": len(held),
     }  # fmt: skip

@@ -20,7 +20,7 @@ from mocap import sensors, synthesis
 from mocap.formats.amass import write_motion
 from mocap.formats.bvh import write_motion as write_bvh
 from mocap.formats.native import write_recording
-from poser import motions, training
+from poser import generated, motions, training
 from poser.__main__ import main
 from poser.commands import train as train_command
 from tests.poser.runs import SMALL, together
@@ -250,6 +250,17 @@ def test_the_projects_own_clips(
     # Of Bandai's every tenth is for validation, of which every twelfth is looked at: here the first, "a".
     assert (about["clips"], about["validation_clips"]) == (4, 2)
     assert "CC BY-NC 4.0" in about["what"]
+    monkeypatch.setattr(generated, "COUNT", 3)
+    found = answer(
+        *words, "-o", tmp_path / "more", "--collections", "cmu", "generated",
+        "--export", tmp_path / "more.safetensors",
+    )  # fmt: skip
+    about = found["data"]
+    assert found["licence"] == "MIT" and about["credit"].endswith("EIA-0196217.")
+    assert (about["clips"], about["validation_clips"]) == (5, 1)
+    assert "generated 1" in about["key"] and "poser.generated" in about["what"]
+    said = refusal(*words, "-o", tmp_path / "none", "--collections", "generated")
+    assert said[0] == 2 and "beside another" in said[1]
 
 
 def test_weights_to_start_from(
