@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from common import data_folder, machine, row
@@ -22,6 +24,9 @@ from poser import tracking
 from sip.prior import shipped
 
 WINDOWS = ((46, 56), (90, 100), (110, 120))
+OFFLINE: dict[str, dict[str, Any]] = {
+    "sop": {"terms": "sop"}, "sip": {"terms": "sip"}, "sip+calibr.": {"self_calibration": True},
+}  # fmt: skip
 ONLINE = (
     ("dip", "dip"), ("hybrid-dip", "dip"), ("imuposer", "imuposer"), ("imuposer-adam", "imuposer"),
     ("hybrid-imuposer", "imuposer"),
@@ -40,6 +45,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--orientation", default="file,vqf")
     parser.add_argument("--solver", default="banded", choices=("banded", "ipopt"))
+    parser.add_argument("--dip", type=Path, help="other weights than the shipped ones")
+    parser.add_argument("--imuposer", type=Path)
+    parser.add_argument(
+        "--online", action="store_true", help="of the six sensors the online methods alone"
+    )
     args = parser.parse_args()
     settings = sip.Settings(solver=args.solver)
     raw = formats.read(data_folder() / "qmt-fullbody" / "full_body_example_data.mat").content
@@ -62,15 +72,14 @@ def main() -> None:
             prior = shipped()
             still = noskill.both(six, prior.mean, prior.poses)
             solved = {name: (motion, 0.0) for name, motion in still.items()}
-            for terms in ("sop", "sip"):
-                s = sip.solve(six, settings=replace(settings, terms=terms))
-                solved[terms] = (s.motion, s.seconds)
-            own = sip.solve(six, settings=replace(settings, self_calibration=True))
-            solved["sip+calibr."] = (own.motion, own.seconds)
+            for name, changes in {} if args.online else OFFLINE.items():
+                s = sip.solve(six, settings=replace(settings, **changes))
+                solved[name] = (s.motion, s.seconds)
             for name, network in ONLINE:
                 seen = sensors.SIX if network == "dip" else DEVICES
                 method = "hybrid" if name.startswith("hybrid") else name
-                run = tracking.track(piece.select(seen), method, network).run
+                weights = getattr(args, network)
+                run = tracking.track(piece.select(seen), method, network, weights=weights).run
                 solved[name] = (run.motion, float(run.frame_s.sum()))
             for name, (motion, seconds) in solved.items():
                 seen = DEVICES if "imuposer" in name else sensors.SIX

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 METHODS = ("dip", "imuposer", "imuposer-adam", "hybrid")
 NETWORKS = ("dip", "imuposer")
 MOST_DEVICES = 3  # that IMUPoser is trained on at a time
+RARE_S = 0.5  # a device that sends more rarely is gone in between
 # The hybrid's settings around each network, beside the defaults: what IMUPoser gets wrong changes faster, and
 # one to three devices do not tell how spine and pelvis share an error. By validation clips:
 # `benchmarks/methods.py --split validation --part imuposer --tracker JSON`.
@@ -75,14 +76,27 @@ def at_once(found: dict[str, str], recording: Recording) -> dict[str, str]:
     """Of `used`, those that the recording has valid at the same time: the most, and of as many those that
     IMUPoser is not trained on.
 
-    A phone that changes pockets is valid in one of them at a time: two columns, one device.
+    A phone that changes pockets is valid in one of them at a time: two columns, one device. Devices whose
+    samples take turns in the rows are worn together: each counts until its next sample is due.
     """
     import numpy as np
 
     columns = [recording.sensors.index(sensor) for sensor in found.values()]
-    worn = np.unique(recording.ori_valid[:, columns], axis=0)
+    worn = np.unique(_spread(recording.ori_valid[:, columns], recording.rate_hz), axis=0)
     sets = [{p: found[p] for p, on in zip(found, row, strict=True) if on} for row in worn]
     return max(sets, key=lambda s: (len(s), not trained_on(s)))
+
+
+def _spread(valid: NDArray[np.bool_], rate_hz: float) -> NDArray[np.bool_]:
+    """valid (T,S), each column's samples lasting as long as they usually lie apart, `RARE_S` at most."""
+    import numpy as np
+
+    t = np.arange(len(valid))[:, None]
+    last = np.maximum.accumulate(np.where(valid, t, -np.inf), axis=0)
+    # Of a column with one sample or none nothing is usual.
+    apart = [np.median(np.diff(np.flatnonzero(own))) if own.sum() > 1 else 1.0 for own in valid.T]
+    out: NDArray[np.bool_] = t - last < np.minimum(apart, max(1.0, RARE_S * rate_hz))
+    return out
 
 
 def trained_on(places: Collection[str]) -> bool:

@@ -22,18 +22,19 @@ from mocap.orientation import Array
 
 @dataclass(frozen=True, eq=False)
 class DipState:
-    """The window, oldest first: rows (T,W) float32 of `learned.runtime` (of a normalisation that depends on
-    the window: the sensors as measured); of the frames still to be answered for and the future ones,
-    R_world_root (future+1,3,3) and lost (future+1,S). had: frames since the start, since: frames since the
-    start or the last jump of the clock; neither counts beyond the window's length. ready: every sensor has
-    been seen."""
+    """The window, oldest first: samples (T,72) float32, orientations and accelerations as measured, and rows
+    (T,W) float32 of `learned.runtime` (W = 0 for a normalisation that depends on the window); of the frames
+    still to be answered for and the future ones, R_world_root (future+1,3,3) and lost (future+1,S). had:
+    frames since the start, since: frames since the start or the last jump of the clock; neither counts
+    beyond the window's length. seen (S,): the sensors that have been there."""
 
+    samples: NDArray[np.float32]
     rows: NDArray[np.float32]
     R_world_root: Array
     lost: NDArray[np.bool_]
     had: int
     since: int
-    ready: bool
+    seen: NDArray[np.bool_]
 
 
 class DipWindow:
@@ -86,42 +87,55 @@ class DipWindow:
         self, state: DipState | None, R: Array, acc: Array, present: NDArray[np.bool_], jumped: bool
     ) -> DipState:
         """The window one frame on."""
-        row = np.concatenate([R.reshape(-1), acc.reshape(-1)]).astype(np.float32)[None]
-        if not self._relative:
-            row = self._rows(row).numpy()
+        sample = np.concatenate([R.reshape(-1), acc.reshape(-1)]).astype(np.float32)[None]
         root, lost = R[None, 5], ~present[None]
         T = self.past + 1 + self.future
-        late, ready = self.future + 1, bool(present.all())
+        late = self.future + 1
         if state is None:
+            samples, rows = sample.repeat(T, 0), self._rows(sample).repeat(T, 0)
             return DipState(
-                row.repeat(T, 0), root.repeat(late, 0), lost.repeat(late, 0), 1, 1, ready
+                samples, rows, root.repeat(late, 0), lost.repeat(late, 0), 1, 1, present.copy()
             )
-        if not state.ready:
+        samples = np.concatenate([state.samples[1:], sample])
+        roots = np.concatenate([state.R_world_root[1:], root])
+        new = present & ~state.seen
+        if new.any():
             # Frames before a sensor's first value hold that value, as frames before the start do: the
             # network never saw a sensor that stands for nothing.
-            lost = np.concatenate([state.lost[1:], lost])
-            had = min(state.had + 1, T)
-            return DipState(row.repeat(T, 0), root.repeat(late, 0), lost, had, T, ready)
+            own = np.concatenate([new.repeat(9), new.repeat(3)])
+            samples[:, own] = sample[:, own]
+            rows = self._rows(samples)
+            roots = root.repeat(late, 0) if new[5] else roots
+        else:
+            rows = np.concatenate([state.rows[1:], self._rows(sample)])
         return DipState(
-            np.concatenate([state.rows[1:], row]),
-            np.concatenate([state.R_world_root[1:], root]),
+            samples,
+            rows,
+            roots,
             np.concatenate([state.lost[1:], lost]),
             min(state.had + 1, T),
             1 if jumped else min(state.since + 1, T),
-            True,
+            state.seen | present,
         )
 
-    def _rows(self, samples: NDArray[np.float32]) -> Tensor:
-        """Rows (n,W) of samples (n,72) as measured."""
+    def _rows(self, samples: NDArray[np.float32]) -> NDArray[np.float32]:
+        """What is kept of samples (n,72) as measured: their rows (n,W), of "first" nothing."""
+        if self._relative:
+            return np.empty((len(samples), 0), np.float32)
+        rows: NDArray[np.float32] = self._computed(samples).numpy()
+        return rows
+
+    def _computed(self, samples: NDArray[np.float32]) -> Tensor:
         x = torch.as_tensor(samples)
         R, acc = x[:, :54].unflatten(-1, (6, 3, 3)), x[:, 54:].unflatten(-1, (6, 3))
         return self.runtime.rows(self.model.inputs(R, acc)[0])
 
     def _window(self, state: DipState) -> Tensor:
         """The rows (T,W) to answer from: all on one side of a jump of the clock."""
-        T = len(state.rows)
-        jump = T - state.since  # the first row after the jump
+        T = len(state.samples)
+        jump = T - state.since  # the first frame after the jump
         index = np.arange(T)
         index = index.clip(None, jump - 1) if self.past < jump else index.clip(jump, None)
-        rows = state.rows[index] if jump else state.rows
-        return self._rows(rows) if self._relative else torch.as_tensor(rows)
+        if self._relative:
+            return self._computed(state.samples[index])
+        return torch.as_tensor(state.rows[index] if jump else state.rows)

@@ -8,7 +8,7 @@ worn afterwards the last one holds.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -32,8 +32,8 @@ _EDGE = (
 @dataclass(frozen=True, eq=False)
 class ImuposerState:
     """The window, oldest first: R (T,5,3,3), acc (T,5,3) float32 of the five places, NaN before a device's
-    first value; rows (T,W) float32 of `learned.runtime` for the combination `worn`. pose, std_rad: the
-    last answer, where there was one."""
+    first value; rows (T,W) float32 of `learned.runtime` for the combination `worn`, of the last frame.
+    last: the last answer, where there was one."""
 
     R: NDArray[np.float32]
     acc: NDArray[np.float32]
@@ -90,6 +90,8 @@ class ImuposerWindow:
         state, kept = self._fed(state, R, acc, present, jumped)
         if not worn:
             last = state.last
+            # Frames pass without rows of theirs: those kept would be in the wrong place afterwards.
+            state = replace(state, rows=None, worn=())
             return state, last and Answer(last.R_parent_joint, last.std_rad, "no device is worn")
         rows = self._rows(state, worn, kept)
         features = self.runtime.features(rows, self.frames - 1)

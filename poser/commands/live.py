@@ -101,8 +101,6 @@ def run(args: Namespace) -> int:
     sinks: list[Sink] = []
     report, begun = loop.Report(), False
     try:
-        if network == "imuposer" and not args.devices:
-            estimators.check_devices(estimators.used(network, source.sensors))
         estimator = estimators.make(
             args.method, source.rate_hz, source.sensors, network=args.network, skeleton=skeleton,
             joint=source.joint, seat=source.seat,
@@ -146,9 +144,12 @@ def _source(args: Namespace, network: str) -> Source:
     with files.about(path):
         names = options.sensors(args.sensors, recording.sensors)
         if args.sensors is None and network == "imuposer":
-            names = estimators.everyday(names)
+            names = estimators.everyday(names, recording)
             if names != recording.sensors:
                 note(f"imuposer sees {', '.join(names)}; --sensors chooses others")
+        if network == "imuposer":
+            found = estimators.used(network, names)
+            estimators.check_devices(estimators.at_once(found, recording))
         return Replay(recording.select(names), args.speed)
 
 
@@ -167,7 +168,10 @@ def _worn(args: Namespace, network: str) -> tuple[str, ...]:
         return tracked
     if args.sensors is None and network == "imuposer":
         return estimators.devices_of(places.FIVE)
-    return options.sensors("six" if args.sensors is None else args.sensors)
+    names = options.sensors("six" if args.sensors is None else args.sensors)
+    if network == "imuposer":
+        estimators.check_devices(estimators.used(network, names))
+    return names
 
 
 def _network(args: Namespace, kind: str, rest: str, sensors: tuple[str, ...]) -> Network:

@@ -231,6 +231,30 @@ def test_devices_come_and_go() -> None:
     assert far(poses[102:], poses[101].R_parent_joint) == 0
 
 
+@pytest.mark.parametrize("lost", [25, 40, 100])
+@torch.inference_mode()
+def test_all_devices_that_come_back(lost: int) -> None:
+    """Rows kept from before the loss are not taken for those of the frames since: every pose afterwards is
+    that of a window whose rows are all computed anew."""
+    net, rec = model("imuposer"), recording(25.0, places.FIVE[:2], "realistic", 9.0)
+    assert isinstance(net, Imuposer)
+    valid = np.array(rec.valid)
+    valid[80 : 80 + lost] = False
+
+    class Anew(ImuposerWindow):
+        def _rows(self, state, worn, kept):  # type: ignore[no-untyped-def]
+            return super()._rows(state, worn, False)
+
+    runtime = prepare(net, reach=EVERY)
+    both = [
+        replay(Online(kind(net, rec.sensors, runtime=runtime), 25.0), replace(rec, valid=valid))
+        for kind in (ImuposerWindow, Anew)
+    ]
+    R, want = (run.motion.R_parent_joint for run in both)
+    assert both[0].notes["no device is worn"] == lost - 12  # 0.5 s are held
+    assert np.abs(R - want).max() < 1e-4 and np.ptp(R[80 + lost :], axis=0).max() > 0.05
+
+
 def test_more_devices_than_it_was_trained_on() -> None:
     net, rec = model("imuposer"), recording(25.0, places.FIVE, s=0.4)
     assert isinstance(net, Imuposer)
@@ -351,3 +375,52 @@ def test_dip_starts_from_the_first_values_of_sensors_that_are_late() -> None:
     batch = net.pose(at, w.R_world_bone[:, w.emit, 5])
     assert far(poses, batch.numpy()) < 1e-5
     assert np.abs(poses[0].R_parent_joint[0] - rec.R_world_bone[3, 5]).max() < 1e-5
+
+
+@pytest.mark.parametrize("normalisation", ["root", "first"])
+@pytest.mark.parametrize(
+    "invalid",
+    [
+        {4: (0, 40)},  # the head comes late
+        {5: (0, 40)},  # the pelvis does
+        {0: (0, 80), 1: (20, 90)},  # and these never in one frame before frame 90
+    ],
+)
+@torch.inference_mode()
+def test_each_late_sensor_is_filled_in_by_itself(
+    invalid: dict[int, tuple[int, int]], normalisation: str
+) -> None:
+    """From the frame that it comes, poses are those of windows that hold its first value before: what the
+    other sensors did in the meantime is kept."""
+    net = model("dip", normalisation=normalisation)
+    rec = recording(60.0, places.SIX, "realistic", 2.0).turned(2.0)
+    valid = np.ones((len(rec), 6), bool)
+    for sensor, (begin, end) in invalid.items():
+        valid[begin:end, sensor] = False
+    late = replace(rec, valid=valid)
+    exact = Online(DipWindow(net, (20, 5), runtime=prepare(net, reach=EVERY)), 60.0)
+    R = np.stack([p.R_parent_joint for p in stream(exact, late)])
+    w = cut([late], 20, 5)
+    out = net(net.inputs(w.R_world_bone, w.acc_world)[0])
+    at = Gaussian(
+        *(v[:, w.emit] for v in (out.pose, out.pose_deviation, out.acc, out.acc_deviation))
+    )
+    batch = net.pose(at, w.R_world_bone[:, w.emit, 5]).numpy()
+    since = max(end for begin, end in invalid.values() if begin == 0) - 5
+    assert np.abs(R[since:] - batch[since:]).max() < 1e-5
+    assert np.ptp(R[:, 1:], axis=0).max() > 0.05
+
+
+@torch.inference_mode()
+def test_a_dead_sensor_costs_itself_alone() -> None:
+    """Poses are those of a stream in which it says identity and zero all the time."""
+    net, rec = model("dip"), recording(60.0, places.SIX, "realistic", 1.0)
+    valid, R, acc = np.array(rec.valid), np.array(rec.R_world_bone), np.array(rec.acc_world)
+    valid[:, 4] = False
+    R[:, 4], acc[:, 4] = np.eye(3), 0.0
+    still = replace(rec, R_world_bone=R, acc_world=acc, valid=np.ones_like(valid))
+    exact = Online(DipWindow(net, (20, 5), runtime=prepare(net, reach=EVERY)), 60.0)
+    poses = stream(exact, replace(rec, valid=valid))
+    want = stream(exact, replace(still, valid=valid | (np.arange(6) == 4)))
+    assert far(poses, np.stack([p.R_parent_joint for p in want])) < 1e-6
+    assert all(p.note == "nothing from head" for p in poses)

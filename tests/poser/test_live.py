@@ -24,6 +24,7 @@ from mocap.recording import Recording
 from poser import estimators as the_estimators
 from poser import motions
 from poser.__main__ import main
+from tests.poser.handovers import handed_over
 from tests.poser.live.conftest import estimators  # noqa: F401 (a fixture)
 
 
@@ -221,6 +222,24 @@ def test_a_recording_of_all_five_places_needs_no_choice(
     assert main(["live", "--source", str(path), "--speed", "max", "--method", "imuposer"]) == 0
     assert estimators[0][2] == ("left_wrist", "right_pocket", "head")
     assert "note: imuposer sees left_wrist, right_pocket, head" in capsys.readouterr().err
+
+
+def test_devices_of_a_recording_are_counted_at_a_time(
+    tmp_path: Path,
+    estimators: Any,  # noqa: F811
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """A phone that changes pockets: four columns, three devices, as `poser track` counts them."""
+    path, recording = tmp_path / "phone.npz", handed_over()
+    native.write_recording(path, recording)
+    words = ["live", "--source", str(path), "--speed", "max", "--method", "imuposer"]
+    assert main(words) == 0
+    assert estimators[0][2] == recording.sensors
+    assert "imuposer sees" not in capsys.readouterr().err
+    worn = replace(recording, valid=np.ones_like(recording.valid))
+    native.write_recording(path, worn)
+    assert main([*words, "--sensors", "all"]) == 1
+    assert "not on 4 devices" in capsys.readouterr().err
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals")

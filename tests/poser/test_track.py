@@ -26,6 +26,7 @@ from mocap.recording import Recording
 from poser import estimators, files, motions, tracking
 from poser.__main__ import main
 from poser.commands import track
+from tests.poser.handovers import all_five, handed_over
 
 
 @pytest.fixture(scope="module")
@@ -122,28 +123,6 @@ def test_fewer_frames_than_the_look_ahead_are_told(
         assert main([*words, *end]) == 0
         said = f"has {frames} frames, and dip looks 5 ahead" in capsys.readouterr().err
         assert said == told and len(files.motion(tmp_path / "o.npz")) == frames
-
-
-def handed_over(
-    phone: tuple[str, str] = ("left_pocket", "right_pocket"), s: float = 4.0
-) -> Recording:
-    """A watch, earphones and a phone at 25 Hz that changes places half way: four columns, three devices."""
-    made = synthesis.recording(
-        motions.walk(s + 2, 25.0), ("left_wrist", *phone, "head"), synthesis.NOISES["none"], 3
-    ).slice(50, 50 + round(s * 25))
-    valid, half = np.array(made.valid), len(made) // 2
-    valid[half:, 1] = False
-    valid[:half, 2] = False
-    return replace(made, valid=valid)
-
-
-def all_five() -> Recording:
-    """Two devices, then three others: all five places, never more than three of them at once."""
-    made = synthesis.recording(motions.walk(6.0, 25.0), sensors.FIVE, synthesis.NOISES["none"], 3)
-    valid = np.zeros((len(made), 5), bool)
-    valid[:75, [0, 2]] = True
-    valid[75:, [1, 3, 4]] = True
-    return replace(made, valid=valid)
 
 
 @pytest.mark.parametrize("words", [(), ("--sensors", "all")])
@@ -317,7 +296,21 @@ def test_what_is_worn_at_once() -> None:
     valid = np.zeros_like(valid)
     valid[:9, [0, 1, 3]], valid[9:, 1:] = True, True
     assert set(estimators.at_once(found, replace(recording, valid=valid))) == set(pockets)
-    # Without a recording (`poser live`) all are taken for worn together.
+    # Samples that take turns: all five are worn, though no row has them all.
+    turns = all_five()
+    valid = np.zeros((len(turns), 5), bool)
+    valid[::2, :3], valid[1::2, 3:] = True, True
+    turns = replace(turns, valid=valid)
+    assert len(estimators.at_once(estimators.used("imuposer", sensors.FIVE), turns)) == 5
+    assert estimators.everyday(sensors.FIVE, turns) == ("left_wrist", "right_pocket", "head")
+    # A device that sends every two seconds is not there in between.
+    valid[:] = False
+    valid[:, :3], valid[::50, 3] = True, True
+    rare = estimators.at_once(
+        estimators.used("imuposer", sensors.FIVE), replace(turns, valid=valid)
+    )
+    assert len(rare) == 4  # but for the half second after each sample it is
+    # Without a recording (of sensors from the network) all are taken for worn together.
     assert estimators.everyday(sensors.FIVE) == ("left_wrist", "right_pocket", "head")
     assert estimators.everyday(pockets) == pockets
 
