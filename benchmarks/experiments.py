@@ -34,18 +34,20 @@ import torch
 from common import row
 
 from learned import checkpoint, corpus, deviations, online
+from learned import kinematics as kin
 from learned.augmentation import Augmentation
 from learned.features import COMBINATIONS
 from learned.models import Dip, Model, for_network
 from learned.settings import TrainSettings
 from learned.train import Trainer
-from learned.validation import cut_for, recordings, score
+from learned.validation import cut_for, figures, predict, recordings
 from learned.virtual import Windows
 from mocap import Motion, dataset, sensors
 from mocap.errors import PoserError
 from mocap.estimator import Estimator, replay
 from mocap.synthesis import Noise
 from poser.commands.train import BANDAI_STEP, own_clips
+from sip.prior import shipped
 
 BOTH = ("cmu", "bandai")
 CLEAN = Noise.none()
@@ -305,15 +307,19 @@ def rows_of_regions(model: Model) -> Iterable[dict[str, Any]]:
 
 
 def rows_of_validation(model: Model) -> Iterable[dict[str, Any]]:
-    """The validation clips of each collection, as training looks at them."""
-    for collection in BOTH:
-        paths = dataset.files("validation", (collection,))
-        paths = paths[::BANDAI_STEP] if collection == "bandai" else paths
-        held = cut_for(
-            model.config.network,
-            recordings(model.config.network, [(p.stem, dataset.load(p, None)) for p in paths]),
-        )
-        yield {"collection": collection, "clips": len(paths)} | score(model, held)
+    """Clips that trained and the validation clips of each collection, as training looks at them."""
+    network = model.config.network
+    for collection, split, step in (
+        ("cmu", "train", 6), ("cmu", "validation", 1), ("bandai", "validation", BANDAI_STEP),
+    ):  # fmt: skip
+        paths = dataset.files(split, (collection,))[::step]
+        clips = [(p.stem, dataset.load(p, None)) for p in paths]
+        held = cut_for(network, recordings(network, clips))
+        row = {"collection": collection, "split": split, "clips": len(paths)}
+        turn = torch.as_tensor(shipped().mean, dtype=torch.float32).reshape(23, 3)
+        still = torch.cat([torch.eye(3)[None], kin.exp(turn)]).expand(len(held.clip), 24, 3, 3)
+        yield row | {"what": "mean pose"} | figures(still, held)
+        yield row | {"what": network} | figures(predict(model, held)[0], held)
 
 
 OTHERS: dict[str, Callable[[argparse.Namespace], Iterable[dict[str, Any]]]] = {

@@ -36,7 +36,8 @@ def shipped(network: str) -> Path:
 
 
 def save(model: Model, path: Path, about: dict[str, Any], half: bool = False) -> None:
-    """Write `path` (.safetensors) and the .json beside it.
+    """Write `path` (.safetensors) and the .json beside it. Killed in between it leaves weights without a
+    description, which cannot be loaded, never weights with another's.
 
     half: matrices in half precision; vectors, scalers and deviations stay single, they cost nothing.
     """
@@ -46,11 +47,12 @@ def save(model: Model, path: Path, about: dict[str, Any], half: bool = False) ->
         for name, x in model.state_dict().items()
     }  # fmt: skip
     record = {"schema": SCHEMA, "config": model.config.to_json(), **about}
-    with write_aside(path) as aside:
+    beside = path.with_suffix(".json")
+    with write_aside(beside) as description, write_aside(path) as weights:
+        description.write_text(json.dumps(_plain(record), indent=1, allow_nan=False) + "\n")
         # Not save_file: it replaces the file by one that only its owner may read.
-        aside.write_bytes(serialised(tensors, metadata={"schema": SCHEMA}))
-    with write_aside(path.with_suffix(".json")) as aside:
-        aside.write_text(json.dumps(_plain(record), indent=1, allow_nan=False) + "\n")
+        weights.write_bytes(serialised(tensors, metadata={"schema": SCHEMA}))
+        beside.unlink(missing_ok=True)  # the weights are put in place next, their description last
 
 
 def _plain(value: Any) -> Any:

@@ -9,8 +9,8 @@ file. Any of it may be deleted.
 from __future__ import annotations
 
 import hashlib
+import io
 import zipfile
-import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -165,8 +165,7 @@ def read(paths: Sequence[Path], progress: Progress | None = None) -> Corpus:
 
     Raises PoserError naming the file where one cannot be read or holds no motion.
     """
-    whole = _whole(paths)
-    return cached(frames(paths, progress)) if whole is None else whole
+    return cached(frames(paths, progress))
 
 
 def frames(
@@ -238,25 +237,13 @@ def _entry(path: Path) -> tuple[Path, str]:
     return dataset.cache_folder() / "clips" / f"{name}.npz", f"{_VERSION}|{_identity(path)}"
 
 
-def _whole(paths: Sequence[Path]) -> Corpus | None:
-    """What earlier versions cached: one file a selection, its clips named by their files' stems.
-
-    None where there is none, and where two of the files share a stem: which of them was long enough to be
-    in it cannot be told.
-    """
-    of_stem = {path.stem: str(path) for path in paths}
-    old = dataset.cache_folder() / f"corpus-{key_of(paths)}.npz"
-    found = _stored(old, "q", "p", "sound", "start", "length", "weight", "names")
-    if found is None or len(of_stem) < len(paths):
-        return None
-    q, p, sound, start, length, weight, stems = found
-    return Corpus(q, p, sound, start, length, tuple(of_stem[str(s)] for s in stems), weight)
-
-
 def _stored(path: Path, *names: str) -> list[NDArray[Any]] | None:
     """Arrays of a cache file; None where there is none, or a damaged one, which is made anew."""
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
-            return [data[name] for name in names]
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
+        with zipfile.ZipFile(path) as file:
+            # Each whole, so that its checksum is looked at: an array's damaged header may ask for less.
+            whole = [io.BytesIO(file.read(f"{name}.npy")) for name in names]
+        return [np.load(array, allow_pickle=False) for array in whole]
+    # What zipfile raises of flipped bytes cannot be listed: unknown methods, passwords, texts, numbers.
+    except Exception:
         return None

@@ -67,7 +67,7 @@ def join(device: str = "cpu") -> World:
     """The world that the environment tells of; alone where WORLD_SIZE is not set.
 
     device: cpu (gloo) or cuda (nccl, the GPU of LOCAL_RANK). Raises TrainingError where CUDA is wanted
-    and absent, or the processes do not find each other.
+    and absent or of fewer GPUs than processes, or the processes do not find each other.
     """
     if device == "cuda" and not torch.cuda.is_available():
         raise TrainingError("this machine or this build of torch has no CUDA device; use cpu")
@@ -75,7 +75,9 @@ def join(device: str = "cpu") -> World:
     if size == 1:
         return World(device=device)
     if device == "cuda":
-        local = int(os.environ.get("LOCAL_RANK", "0"))
+        local, count = int(os.environ.get("LOCAL_RANK", "0")), torch.cuda.device_count()
+        if local >= count:
+            raise TrainingError(f"process {local} of this machine has no GPU: there are {count}")
         torch.cuda.set_device(local)
         device = f"cuda:{local}"
     try:

@@ -56,25 +56,25 @@ def at_rate(recording: Recording, rate_hz: float) -> Recording:
         recording,
         rate_hz=rate_hz,
         R_world_bone=ori.interpolate(t, R, at),
-        acc_world=_averaged(t, acc, at, 1.0 / rate_hz),
+        acc_world=_averaged(1.0 / recording.rate_hz, acc, at, 1.0 / rate_hz),
         valid=recording.ori_valid[nearest],
         reference=reference,
     )
 
 
-def _averaged(t: Array, acc: Array, at: Array, width: float) -> Array:
-    """Means (M,S,3) of acc (N,S,3) at times `at`, weighted with triangles of half-width `width` s.
+def _averaged(dt: float, acc: Array, at: Array, width: float) -> Array:
+    """Means (M,S,3) of acc (N,S,3), sampled every `dt` s, at times `at`, weighted with triangles of
+    half-width `width` s.
 
     Where the samples lie further apart than the triangle reaches, it is widened to reach two of them.
     """
-    dt = t[1] - t[0]
     width = max(width, dt)
     reach = int(np.ceil(width / dt))
     near = np.rint(at / dt).astype(int)[:, None] + np.arange(-reach, reach + 1)
-    inside = (near >= 0) & (near < len(t))
+    inside = (near >= 0) & (near < len(acc))
     weight = np.where(inside, np.maximum(0.0, 1 - np.abs(at[:, None] - near * dt) / width), 0.0)
     weight /= weight.sum(axis=1, keepdims=True)
-    return np.einsum("mk,mksc->msc", weight, acc[near.clip(0, len(t) - 1)])
+    return np.einsum("mk,mksc->msc", weight, acc[near.clip(0, len(acc) - 1)])
 
 
 class Recorded:
@@ -87,11 +87,16 @@ class Recorded:
         self, recordings: Sequence[Recording], frames: int, device: torch.device | str = "cpu"
     ) -> None:
         long = [r for r in recordings if len(r) >= frames and r.reference is not None]
+        if not long:
+            raise PoserError(
+                f"no recording with a reference of {frames} frames or more to train on"
+            )
         worn = [devices.there(r)[frames - 1 :] for r in long]  # at the end of each window
         long = [r for r, w in zip(long, worn, strict=True) if w.any()]
         if not long:
             raise PoserError(
-                f"no recording with a reference of {frames} frames or more to train on"
+                f"no recording to train on has a sensor that measured anything where a window of {frames} "
+                "frames ends"
             )
         self.frames, self.device = frames, torch.device(device)
         self._there = [w for w in worn if w.any()]

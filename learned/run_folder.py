@@ -9,15 +9,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 from learned.errors import TrainingError
 from learned.models import Model
 from learned.settings import TrainSettings
+from learned.validation import Windowed
 from mocap.formats._files import write_aside
 
 # Settings that may change when a run goes on: when it ends, and what suits the machine.
 FREE = ("steps", "minutes", "patience", "bfloat16")
+ALIKE = 1e-5  # what means of rotations and of m/s^2 may differ by in `outline`s of the same windows
 
 
 def fingerprint(model: Model | None) -> str:
@@ -30,22 +33,41 @@ def fingerprint(model: Model | None) -> str:
     return digest.hexdigest()[:16]
 
 
+def outline(windows: Windowed) -> list[float]:
+    """Numbers that tell validation windows from others: how many there are of how many clips, and the means
+    over windows and frames of all that is in them.
+
+    No digest of their bytes: those are the same on one machine, but another processor or another numpy
+    rounds otherwise, and a run may be moved. One other window among 1,500 moves means by far more.
+    """
+    tensors = (windows.R_world_bone, windows.acc_world, windows.R_parent_joint)
+    means = [x.mean((0, 1), dtype=torch.float64).flatten() for x in tensors]
+    worn = windows.there.double().mean(0)
+    counts = [float(len(windows.clip)), float(len(np.unique(windows.clip)))]
+    return [*counts, *torch.cat([*means, worn]).tolist()]
+
+
 @dataclass(frozen=True)
 class Identity:
     """What a run must share with the one that it goes on with.
 
     data: names what the windows are cut from (`corpus.key_of`); start: `fingerprint` of the weights that
-    the run began with. Either may be empty: of no name, of no weights.
+    the run began with; validation: `outline` of the windows that it is validated on. Data and start may be
+    empty: of no name, of no weights.
     """
 
     settings: TrainSettings
     data: str
     start: str
+    validation: list[float]
 
-    def to_state(self) -> dict[str, str]:
+    def to_state(self) -> dict[str, Any]:
         """As `RunFolder.read` compares it."""
         settings = json.dumps(self.settings.to_json(), sort_keys=True)
-        return {"settings": settings, "data": self.data, "start": self.start}
+        return {
+            "settings": settings, "data": self.data, "start": self.start,
+            "validation": self.validation,
+        }  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -89,7 +111,7 @@ class RunFolder:
     def read(self, identity: Identity) -> dict[str, Any]:
         """The state. Raises TrainingError where it is damaged or of another run.
 
-        Earlier versions wrote no `start`: such a state fits any.
+        Earlier versions wrote no `start` and no `validation`: such a state fits any.
         """
         try:
             state: dict[str, Any] = torch.load(self.state, weights_only=True, map_location="cpu")
@@ -106,6 +128,10 @@ class RunFolder:
             raise self._other("on other motions", "the same motions")
         if state.get("start", mine["start"]) != mine["start"]:
             raise self._other("that began with other weights", "the same weights to start from")
+        if not _alike(state.get("validation", mine["validation"]), mine["validation"]):
+            raise self._other(
+                "that was validated on other motions", "the same motions to validate on"
+            )
         return state
 
     def damaged(self, how: str = "it is damaged, or no state of a run") -> TrainingError:
@@ -127,6 +153,11 @@ class RunFolder:
             with write_aside(self.log) as aside:
                 kept = [r for r in rows if json.loads(r)["step"] <= step]
                 aside.write_text("".join(r + "\n" for r in kept))
+
+
+def _alike(a: list[float], b: list[float]) -> bool:
+    """Whether two `outline`s are of the same windows."""
+    return len(a) == len(b) and np.allclose(a, b, rtol=0.0, atol=ALIKE, equal_nan=True)
 
 
 def _fixed(settings: str) -> dict[str, Any]:

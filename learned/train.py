@@ -28,9 +28,10 @@ from learned.errors import CheckpointError, TrainingError
 from learned.features import dip_target, imuposer_input
 from learned.interrupts import Interrupts
 from learned.models import Dip, Model, build
+from learned.networks import dip
 from learned.parallel import World
 from learned.precision import bfloat16_pays
-from learned.run_folder import Identity, RunFolder, fingerprint
+from learned.run_folder import Identity, RunFolder, fingerprint, outline
 from learned.settings import TrainSettings
 from learned.validation import Windowed, score
 from learned.virtual import Batch
@@ -64,9 +65,9 @@ class Trainer:
     """One run. `run()` goes on until it is done and returns the path of the best weights.
 
     data: names what the windows are cut from (`corpus.key_of`). start: a trained model to go on from,
-    scalers included. A run is resumed neither on other data nor from another start. earlier: what was set
-    aside where the folder held a run that cannot be gone on with. precision: "bfloat16" or "float32", whether
-    its products are of mixed precision.
+    scalers included. A run is resumed neither on other data, nor with other windows to validate on, nor from
+    another start. earlier: what was set aside where the folder held a run that cannot be gone on with.
+    precision: "bfloat16" or "float32", whether its products are of mixed precision.
     """
 
     def __init__(
@@ -82,18 +83,19 @@ class Trainer:
     ) -> None:
         self.settings, self.source, self.validation = settings, source, validation
         self.files, self.about = RunFolder(folder), about or {}
-        self.identity = Identity(settings, data, fingerprint(start))
+        self.identity = Identity(settings, data, fingerprint(start), outline(validation))
         self.world = world or World()
         self.device = torch.device(self.world.device)
         self.step, self.seconds, self.best, self.since_best = 0, 0.0, math.inf, 0
+        self.best_step = 0  # of the validation that found the best weights; 0: of none
         self.validated, self.loss_sum, self.loss_count = 0, 0.0, 0
         torch.manual_seed(settings.seed)
         self.model: Model = build(settings.config) if start is None else copy.deepcopy(start)
         self.model.requires_grad_(True).train().to(self.device)
-        if not settings.reconstruct_acc:
-            # Their loss is off: several processes would wait for gradients that nobody computes.
-            for name, p in self.model.named_parameters():
-                p.requires_grad_(not name.startswith("net.heads.acc"))
+        if isinstance(self.model.net, dip.Network):
+            # Several processes would wait for gradients that nobody computes.
+            for layer in self.model.net.untaught(settings.reconstruct_acc):
+                layer.requires_grad_(False)
         self.offsets = torch.as_tensor(
             np.array(Skeleton.default().offsets), dtype=torch.float32
         ).to(self.device)
@@ -169,24 +171,26 @@ class Trainer:
     def run(self, progress: Progress | None = None) -> Path:
         """Train. On Ctrl-C the step is finished, the state saved and KeyboardInterrupt raised."""
         saved = -math.inf  # after the first step: a log and weights without a state could not go on
+        kept = False  # whether the folder holds the state as it is
         with Interrupts() as interrupts:
             while True:
                 if self.world.first and self._due():
                     self._validate(progress, interrupts)
                     self._save()
-                    saved = time.monotonic()
+                    saved, kept = time.monotonic(), True
                 self.seconds, verdict = self.world.agree(self.seconds, self._verdict(interrupts))
                 if verdict != _GO:
                     break
                 began = time.monotonic()
-                loss = self._one()
+                loss, kept = self._one(), False
                 self.seconds += time.monotonic() - began
                 if progress and self.step % 10 == 0:
                     progress({"step": self.step, "done": self.done(), "loss": loss})
                 if time.monotonic() - saved > SAVE_EVERY_S:
                     self._save()
-                    saved = time.monotonic()
-            self._save()
+                    saved, kept = time.monotonic(), True
+            if not kept:
+                self._save()
         if verdict == _STOP:
             raise KeyboardInterrupt
         return self.files.best
@@ -202,8 +206,9 @@ class Trainer:
         return self.settings.patience > 0 and self.since_best >= self.settings.patience
 
     def _due(self) -> bool:
-        on_time = self.step % self.settings.every == 0 or self.done() >= 1
-        return on_time and self.step > self.validated
+        if self.step == self.validated:  # done again where the best weights were lost since
+            return self.step > 0 and self.best == math.inf
+        return self.step % self.settings.every == 0 or self.done() >= 1
 
     def _verdict(self, interrupts: Interrupts) -> float:
         if self.done() >= 1 or self.stale():
@@ -231,6 +236,8 @@ class Trainer:
             for a, b in zip(self.average.parameters(), self.model.parameters(), strict=True):
                 a.lerp_(b, 1 - keep)
         value = float(loss.detach())
+        if self.step - 1 == self.validated:  # not before: that validation may have to be done again
+            self.loss_sum, self.loss_count = 0.0, 0
         self.loss_sum, self.loss_count = self.loss_sum + value, self.loss_count + 1
         return value
 
@@ -266,14 +273,15 @@ class Trainer:
             "training_loss": self.loss_sum / max(1, self.loss_count),
             "rate": self.optimizer.param_groups[0]["lr"],
         } | {f"validation_{k}": v for k, v in found.items()}  # fmt: skip
-        if error < self.best:
-            self.best, self.since_best = error, 0
+        better, again = error < self.best, self.step == self.validated
+        if better:
+            self.best, self.best_step = error, self.step
             how = {"training": self.settings.to_json(), "precision": self.precision}
             checkpoint.save(model, self.files.best, self.about | how | {"validation": row})
-        else:
-            self.since_best += 1
-        self.files.append(row)
-        self.validated, self.loss_sum, self.loss_count = self.step, 0.0, 0
+        if not again:
+            self.since_best = 0 if better else self.since_best + 1
+            self.files.append(row)
+        self.validated = self.step
         if progress:
             progress(row | {"done": self.done()})
 
@@ -283,7 +291,7 @@ class Trainer:
         """What all processes share of a run."""
         return {
             "step": self.step, "seconds": self.seconds, "best_error": self.best,
-            "since_best": self.since_best, "validated": self.validated,
+            "best_step": self.best_step, "since_best": self.since_best, "validated": self.validated,
             "loss_sum": self.loss_sum, "loss_count": self.loss_count,
             "bfloat16": self.bfloat16, "model": self.model.state_dict(),
             "average": self.average.state_dict(), "optimizer": self.optimizer.state_dict(),
@@ -295,7 +303,8 @@ class Trainer:
         if "best_error" in state:
             self.best, self.since_best = state["best_error"], state["since_best"]
         else:  # an earlier version, which chose by the loss: its choice is the one to beat
-            self.best = self._error_of_best()
+            self.best = self._described()[1]
+        self.best_step = state["best_step"] if "best_step" in state else self._described()[0]
         # Earlier versions saved right after a validation or between two: then nothing is due.
         self.validated = state.get("validated", self.step)
         self.loss_sum, self.loss_count = state.get("loss_sum", 0.0), state.get("loss_count", 0)
@@ -320,13 +329,19 @@ class Trainer:
         except (KeyError, TypeError, ValueError, RuntimeError) as e:
             raise self.files.damaged() from e
         self.files.cut_log(self.validated)
+        # Lost, or of a validation that is still to come: of a run that was killed before it saved.
+        if not 0 < self._described()[0] == self.best_step:
+            self.best, self.best_step = math.inf, 0
 
-    def _error_of_best(self) -> float:
-        """`pose_error` of the best weights in the folder, infinite where there are none."""
+    def _described(self) -> tuple[int, float]:
+        """Step and `pose_error` of the best weights in the folder: 0, infinite where there are none."""
+        if not self.files.best.exists():
+            return 0, math.inf
         try:
-            return pose_error(checkpoint.describe(self.files.best)["validation"], "validation_")
-        except (CheckpointError, KeyError):
-            return math.inf
+            found = checkpoint.describe(self.files.best)["validation"]
+            return int(found["step"]), pose_error(found, "validation_")
+        except (CheckpointError, KeyError, TypeError, ValueError):
+            return 0, math.inf
 
 
 def generators(device: torch.device) -> dict[str, Tensor]:

@@ -55,7 +55,20 @@ class Heads(nn.Module):
         )
 
 
-class BiRNN(nn.Module):
+class Network(nn.Module):
+    """What appendix A's networks have in common."""
+
+    heads: Heads
+
+    def untaught(self, reconstruct_acc: bool) -> list[nn.Module]:
+        """Layers that the loss does not depend on.
+
+        reconstruct_acc: whether the loss counts the accelerations (`learned.losses.dip`).
+        """
+        return [] if reconstruct_acc else [self.heads.acc, self.heads.acc_deviation]
+
+
+class BiRNN(Network):
     """Dense 512 + ReLU, two stacked bidirectional LSTM layers of 512, heads (3.4, Fig. 12).
 
     The authors' code has a further dense layer of 256 before the heads; the paper has none and is
@@ -76,7 +89,7 @@ class BiRNN(nn.Module):
         return self.heads(recurrent.run(self.lstm, x) if self.training else self.lstm(x)[0])
 
 
-class FeedForward(nn.Module):
+class FeedForward(Network):
     """Five dense layers of 256, 512, 512, 256, 256 on a window of 20 past and 5 future frames (A)."""
 
     past, future = 20, 5
@@ -102,7 +115,7 @@ class FeedForward(nn.Module):
         return self.heads(self.layers(windows.transpose(-1, -2).flatten(-2)))
 
 
-class WaveNet(nn.Module):
+class WaveNet(Network):
     """Dilated causal convolutions with gated units (van den Oord et al. 2016), five frames late (A).
 
     The paper gives no sizes: here 128 channels, kernels of 2, dilations 1, 2, 4, 8 and 1, 2, 4, 8 (a
@@ -122,6 +135,10 @@ class WaveNet(nn.Module):
         self.residual = nn.ModuleList(nn.Conv1d(channels, channels, 1) for _ in self.dilations)
         self.skip = nn.ModuleList(nn.Conv1d(channels, channels, 1) for _ in self.dilations)
         self.heads = Heads(channels)
+
+    def untaught(self, reconstruct_acc: bool) -> list[nn.Module]:
+        """The last residual map too: no further layer reads it. It stays, as weights name it."""
+        return [*super().untaught(reconstruct_acc), self.residual[-1]]
 
     def forward(self, x: Tensor) -> Gaussian:
         x = self.dropout(x)

@@ -90,11 +90,14 @@ def _start(args: Namespace) -> tuple[Model, Path]:
 def _recording(path: Path, model: Model) -> tuple[Recording, dict[str, str]]:
     """A recording of the network's sensors at its rate, and which of the file's serves for which place.
 
-    Refuses one without a reference, and one whose sensors do not serve the network.
+    Refuses one without a reference, one of a single frame, which has no acceleration, and one whose sensors
+    do not serve the network.
     """
     from learned.recorded import at_rate, placed
 
     recording = files.recording(path)
+    if len(recording) < 2:
+        raise FormatError(path, "holds one frame, and at least two are needed to learn from")
     if recording.reference is None:
         raise FormatError(
             path,
@@ -103,7 +106,26 @@ def _recording(path: Path, model: Model) -> tuple[Recording, dict[str, str]]:
     config = model.config
     with files.about(path):
         found = estimators.used(config.network, recording.sensors)
-        return at_rate(placed(recording, found, config.sensors), config.rate_hz), found
+        made = at_rate(placed(recording, found, config.sensors), config.rate_hz)
+    return made, _measured(path, made, config.network, found)
+
+
+def _measured(
+    path: Path, recording: Recording, network: str, found: dict[str, str]
+) -> dict[str, str]:
+    """Those of the sensors that ever measured their orientation, by place: the others are as good as absent.
+
+    Raises FormatError where there is none, and where dip lacks one: a bone that never turns would be learnt
+    from in its place.
+    """
+    alive = {place for k, place in enumerate(recording.sensors) if recording.ori_valid[:, k].any()}
+    dead = [sensor for place, sensor in found.items() if place not in alive]
+    if len(dead) == len(found):
+        raise FormatError(path, f"no orientation in any frame of {', '.join(dead)}")
+    if dead and network == "dip":
+        problem = "no orientation in any frame; dip learns from all of its six sensors"
+        raise FormatError(path, problem, f"sensor {', '.join(dead)}")
+    return {place: sensor for place, sensor in found.items() if place in alive}
 
 
 def _note_places(network: str, worn: Sequence[dict[str, str]]) -> None:
@@ -148,6 +170,11 @@ def _split(
     """(training, validation): the last tenth of the recordings, or the last fifth of a single one."""
     if len(found) == 1:
         cut = int(0.8 * len(found[0]))
+        if cut == 0:
+            raise FormatError(
+                paths[0],
+                f"at {found[0].rate_hz:g} Hz it is one frame, which cannot both train and validate",
+            )
         note(
             f"validation: {paths[0].name} from {found[0].start_s + cut / found[0].rate_hz:.1f} s on"
         )

@@ -6,6 +6,7 @@ import json
 import math
 import os
 import signal
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +16,12 @@ import torch
 
 from learned import checkpoint
 from learned import train as module
-from learned.errors import TrainingError
+from learned.errors import CheckpointError, TrainingError
 from learned.features import DIP_JOINTS
 from learned.kinematics import angle_between
-from learned.models import Dip, build, for_network
+from learned.models import ARCHITECTURES, Architecture, Dip, Model, build, for_network
 from learned.parallel import World
+from learned.run_folder import Identity, RunFolder
 from learned.train import Trainer, pose_error
 from learned.validation import score
 from mocap.errors import PoserError
@@ -202,6 +204,28 @@ def test_other_settings_or_other_motions_are_refused(tmp_path: Path) -> None:
         trainer(tmp_path, data="b")
 
 
+def test_other_windows_to_validate_on_are_refused(tmp_path: Path) -> None:
+    """Its best weights and its patience would be compared with figures of other motions."""
+    settings, source = tiny(), windows(wavy(), "dip", tiny().frames)
+    mine, other = (validation(wavy(seed=k), "dip", 30) for k in (0, 1))
+    Trainer(settings, source, mine, tmp_path).run()
+    first = replace(other, R_parent_joint=mine.R_parent_joint, acc_world=mine.acc_world)
+    for wrong in (other, first, mine.only(torch.arange(len(mine.clip)) > 0)):
+        with pytest.raises(TrainingError, match="holds a run that was validated on other motions"):
+            Trainer(settings, source, wrong, tmp_path)
+    # As another processor may round them.
+    rounded = replace(mine, acc_world=mine.acc_world * (1 + 1e-7))
+    assert Trainer(settings, source, rounded, tmp_path).step == 12
+    state = torch.load(tmp_path / "state.pt", weights_only=True)
+    del state["validation"]  # an earlier version wrote none
+    torch.save(state, tmp_path / "state.pt")
+    t = Trainer(tiny(steps=13), source, other, tmp_path)
+    t.run()
+    assert t.step == 13
+    with pytest.raises(TrainingError, match="validated on other motions"):
+        Trainer(settings, source, mine, tmp_path)
+
+
 @pytest.mark.parametrize("keep", [0.0, 0.5])
 def test_a_damaged_state_is_refused(tmp_path: Path, keep: float) -> None:
     trainer(tmp_path).run()
@@ -272,6 +296,103 @@ SCRIPT += [figures(0.4, 24.0, 7.5)] * 5
 """Losses that are least at the second validation, pose errors at the third."""
 
 
+class Scripted:
+    """In place of `score`: figures of a script. shown: the models' tensors at each call."""
+
+    def __init__(self, degrees: list[float]) -> None:
+        self.degrees, self.shown = iter(degrees), list[dict[str, torch.Tensor]]()
+
+    def __call__(self, model: Model, *more: Any) -> dict[str, float]:
+        self.shown.append({k: v.clone() for k, v in model.state_dict().items()})
+        return figures(0.1, next(self.degrees), 0.0)
+
+
+@pytest.mark.parametrize("last", ["best.safetensors", "best.json"])
+@pytest.mark.parametrize(("often", "best"), [(False, 2), (True, 4)])
+def test_killed_while_the_best_weights_are_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, last: str, often: bool, best: int
+) -> None:
+    """Done again, the validation of step 4 may find less (a GPU): weights and description agree all the
+    same. Saved at step 2, the weights of then are there to be written again; saved at step 3 no more.
+    """
+    if often:
+        monkeypatch.setattr(module, "SAVE_EVERY_S", 0.0)
+    monkeypatch.setattr(module, "score", Scripted([30.0, 20.0]))
+    killed, put = trainer(tmp_path, tiny(steps=4, every=2)), Path.replace
+
+    def dying(aside: Path, target: Path) -> Path:
+        found = put(aside, target)
+        if killed.step == 4 and target.name == last:
+            raise SystemExit
+        return found
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", dying)
+        with pytest.raises(SystemExit):
+            killed.run()
+    if last == "best.safetensors":
+        with pytest.raises(CheckpointError, match=r"best\.json: no such file"):
+            checkpoint.describe(tmp_path / "best.safetensors")
+    again = Scripted([31.0] if often else [30.0, 31.0])
+    monkeypatch.setattr(module, "score", again)
+    resumed = trainer(tmp_path, tiny(steps=4, every=2))
+    assert resumed.best == math.inf
+    resumed.run()
+    row = checkpoint.describe(tmp_path / "best.safetensors")["validation"]
+    assert (row["step"], resumed.best_step) == (best, best)
+    assert row["validation_angular_deg"] == resumed.best == (31.0 if often else 30.0)
+    equal(checkpoint.load(tmp_path / "best.safetensors").state_dict(), again.shown[0])
+    assert [r["step"] for r in log(tmp_path)] == [2, 4]
+    assert (
+        trainer(tmp_path, tiny(steps=4, every=2)).best == resumed.best
+    )  # nothing is lost any more
+
+
+GONE = [("best.safetensors",), ("best.json",), ("best.safetensors", "best.json")]
+
+
+@pytest.mark.parametrize("gone", GONE)
+def test_best_weights_that_were_removed_are_written_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, gone: tuple[str, ...]
+) -> None:
+    """Of a run that was over, and of one that goes on: nothing else changes."""
+    whole = trainer(tmp_path / "whole")
+    whole.run()
+    left = (tmp_path / "whole" / "best.safetensors").read_bytes()
+    part = trainer(tmp_path / "part")
+    # Interrupted right after its first validation.
+    monkeypatch.setattr(part, "_verdict", lambda _: module._STOP if part.validated else module._GO)
+    with pytest.raises(KeyboardInterrupt):
+        part.run()
+    for folder in (tmp_path / "whole", tmp_path / "part"):
+        for name in gone:
+            (folder / name).unlink()
+        t = trainer(folder)
+        assert t.best == math.inf
+        t.run()
+        equal(weights(t), weights(whole))
+        assert left == (folder / "best.safetensors").read_bytes()
+        row = checkpoint.describe(folder / "best.safetensors")["validation"]
+        assert [r["step"] for r in log(folder)] == [5, 10, 12] and row == log(folder)[-1]
+
+
+def test_a_run_that_patience_ended_stays_over_without_its_best_weights(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is left of it is validated again, and is the best that there is."""
+    settings = tiny(steps=60, every=1, patience=2)
+    monkeypatch.setattr(module, "score", Scripted([20.0, 21.0, 22.0]))
+    trainer(tmp_path, settings).run()
+    for path in tmp_path.glob("best.*"):
+        path.unlink()
+    monkeypatch.setattr(module, "score", Scripted([22.0]))
+    again = trainer(tmp_path, settings)
+    again.run()
+    assert again.step == 3 and again.stale() and (again.best, again.best_step) == (22.0, 3)
+    assert checkpoint.describe(tmp_path / "best.safetensors")["validation"] == log(tmp_path)[-1]
+    assert len(log(tmp_path)) == 3
+
+
 def test_the_best_weights_have_the_least_pose_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -294,7 +415,8 @@ def test_a_state_of_an_earlier_version_goes_on(
     trainer(tmp_path, tiny(steps=2, every=1)).run()
     state = torch.load(tmp_path / "state.pt", weights_only=True)
     state["best"] = 0.1  # the loss
-    del state["best_error"], state["start"], state["bfloat16"]
+    for name in ("best_error", "best_step", "start", "validation", "bfloat16"):
+        del state[name]
     del state["model"]["error_covariance"], state["average"]["error_covariance"]
     torch.save(state, tmp_path / "state.pt")
     resumed = trainer(tmp_path, tiny(steps=4, every=1), start=build(tiny().config))
@@ -329,6 +451,37 @@ def test_a_run_begun_anew_keeps_the_earlier_log_and_weights(tmp_path: Path) -> N
         assert [row["step"] for row in log(tmp_path)] == [5]
     assert {n: (tmp_path / f"{n}.1").read_bytes() for n in first} == first
     assert trainer(tmp_path, tiny(steps=5, seed=2)).earlier == []
+
+
+def test_a_state_is_written_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """After the first step and after every validation; not again at the end."""
+    written: list[int] = []
+    write = RunFolder.write
+
+    def counting(self: RunFolder, state: dict[str, Any], identity: Identity) -> None:
+        written.append(state["step"])
+        write(self, state, identity)
+
+    monkeypatch.setattr(RunFolder, "write", counting)
+    trainer(tmp_path).run()
+    assert written == [1, 5, 10, 12]
+
+
+@pytest.mark.parametrize("architecture", ARCHITECTURES)
+@pytest.mark.parametrize("acc", [True, False])
+def test_every_weight_that_is_trained_has_a_gradient(
+    tmp_path: Path, architecture: Architecture, acc: bool
+) -> None:
+    """Several processes wait for that of each (DistributedDataParallel)."""
+    network = "imuposer" if architecture == "imuposer" else "dip"
+    config = {"architecture": architecture}
+    t = trainer(tmp_path, tiny(network, config, reconstruct_acc=acc))
+    t._one()
+    trained = {k: p for k, p in t.model.named_parameters() if p.requires_grad}
+    assert [k for k, p in trained.items() if p.grad is None] == []
+    fixed = {k.rsplit(".", 1)[0] for k, _ in t.model.named_parameters() if k not in trained}
+    want = {"net.heads.acc", "net.heads.acc_deviation"} if network == "dip" and not acc else set()
+    assert fixed == want | ({"net.residual.7"} if architecture == "wavenet" else set())
 
 
 def test_minutes_stop_and_validate(tmp_path: Path) -> None:

@@ -7,17 +7,19 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
 from learned import checkpoint, train, validation
 from learned.models import build, for_network
 from mocap import sensors, synthesis
-from mocap.formats.native import write_recording
+from mocap.formats.native import read_recording, write_recording
 from poser import motions
 from poser.__main__ import main
 
 Answer = Callable[..., Any]
+Refusal = Callable[..., tuple[int, str]]
 QUICK = ["--batch", "3", "--frames", "12", "--every", "2", "--steps", "4"]
 SUITED = (*sensors.SUIT, *(n for n in sensors.FIVE if n not in sensors.SUIT))
 ABOUT = {"licence": "CC BY-NC 4.0", "data": {"what": "clips of a studio", "credit": "The studio."}}
@@ -99,6 +101,60 @@ def test_sensors_that_do_not_serve_are_named(
     assert status == 1 and "three.npz: dip needs left_forearm" in said and "there is no" in said
 
 
+def without(place: Path, out: Path, name: str, *dead: str) -> Path:
+    """The recording with sensors that are there and never measured anything."""
+    made = read_recording(place / f"{name}.npz")
+    valid = np.array(made.valid)
+    valid[:, [made.sensors.index(n) for n in dead]] = False
+    write_recording(out, replace(made, valid=valid))
+    return out
+
+
+def test_sensors_that_never_measured_anything(
+    place: Path, tmp_path: Path, refusal: Refusal, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """dip would learn from a bone that never turns; imuposer has one device less."""
+
+    def words(network: str, path: Path, at: str = "r") -> list[Any]:
+        start = ["--start", place / f"{network}.safetensors"]
+        return ["finetune", network, path, "-o", tmp_path / at, *QUICK, *start]
+
+    one = without(place, tmp_path / "one.npz", "six", "left_shank")
+    status, said = refusal(*words("dip", one))
+    assert status == 1
+    assert "one.npz: sensor left_shank: no orientation in any frame; dip learns from" in said
+    made = read_recording(place / "six.npz")
+    valid = np.array(made.valid)
+    valid[10:40, 3] = False  # lost for a while
+    write_recording(tmp_path / "lost.npz", replace(made, valid=valid))
+    assert main([str(w) for w in words("dip", tmp_path / "lost.npz", "lost")]) == 0
+    watch = without(place, tmp_path / "watch.npz", "three", "head")
+    capsys.readouterr()
+    assert main([str(w) for w in words("imuposer", watch, "watch")]) == 0
+    assert "no recording has right_wrist, left_pocket, head:" in capsys.readouterr().err
+    never = without(place, tmp_path / "never.npz", "three", "left_wrist", "right_pocket", "head")
+    _, said = refusal(*words("imuposer", never))
+    assert "never.npz: no orientation in any frame of left_wrist, right_pocket, head" in said
+
+
+@pytest.mark.parametrize(
+    ("network", "frames", "said"),
+    [
+        ("dip", 1, "s.npz: holds one frame, and at least two are needed"),
+        ("imuposer", 2, "s.npz: at 25 Hz it is one frame, which cannot both train and validate"),
+    ],
+)
+def test_recordings_of_a_frame_or_two_are_refused(
+    place: Path, tmp_path: Path, refusal: Refusal, network: str, frames: int, said: str
+) -> None:
+    made = read_recording(place / "take0.npz").slice(10, 10 + frames)
+    write_recording(tmp_path / "s.npz", replace(made, start_s=0.0))
+    start = ["--start", place / f"{network}.safetensors"]
+    paths = [tmp_path / "s.npz", *([place / "take1.npz"] if frames == 1 else [])]
+    status, found = refusal("finetune", network, *paths, "-o", tmp_path / "r", *QUICK, *start)
+    assert status == 1 and said in found
+
+
 def test_licence_and_credit_of_the_start_are_kept(
     place: Path, tmp_path: Path, answer: Answer
 ) -> None:
@@ -131,8 +187,6 @@ def test_licence_and_credit_of_the_start_are_kept(
 def test_recordings_that_are_too_short_are_named(
     place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from mocap.formats.native import read_recording
-
     long = read_recording(place / "take0.npz")
     for name, part in (("a", (0, 100)), ("b", (20, 29)), ("c", (30, 39)), ("d", (0, 101))):
         write_recording(tmp_path / f"{name}.npz", replace(long.slice(*part), start_s=0.0))

@@ -333,6 +333,16 @@ def test_a_run_with_other_settings_or_motions_is_left_alone(
     state = (tmp_path / "r" / "state.pt").read_bytes()
     assert "other settings" in refusal(*words, "--seed", "1")[1]
     assert "other motions" in refusal(*words, "--share", "0.5")[1]
+    # The same motion trains, another one validates.
+    clip = [clips / f"subject{k}" / "deep" / f"clip{k}.npz" for k in range(3)]
+    mine = ["train", "dip", clip[0], "-o", tmp_path / "v", *SMALL, "--steps", "2", "--validation"]
+    answer(*mine, clip[1])
+    said = refusal(*mine, clip[2])[1]
+    assert (
+        "v: holds a run that was validated on other motions; give another folder, or the same"
+        in said
+    )
+    assert answer(*mine, clip[1])["begun_at_step"] == 2
     answer("train", "dip", clips, "-o", tmp_path / "other", *SMALL, "--steps", "2", "--seed", "5")
     start = tmp_path / "other" / "best.safetensors"
     assert "began with other weights" in refusal(*words, "--start", start)[1]
@@ -398,21 +408,14 @@ def test_ctrl_c_leaves_130_and_a_sentence(
     assert answer(*words)["begun_at_step"] == 3
 
 
-def test_two_processes_train_one_network(clips: Path, tmp_path: Path) -> None:
-    """As torchrun starts them (gloo): the same weights in both, one of them writes."""
+@pytest.mark.parametrize(
+    "network", [[*SMALL, "--no-acc-loss"], [*SMALL[2:], "--architecture", "wavenet"]]
+)
+def test_two_processes_train_one_network(clips: Path, tmp_path: Path, network: list[str]) -> None:
+    """As torchrun starts them (gloo): the same weights in both, one of them writes. Also where the loss does
+    not reach all of the network."""
     folder = str(tmp_path / "r")
-    words = [
-        "train",
-        "dip",
-        str(clips),
-        "-o",
-        folder,
-        *SMALL,
-        "--steps",
-        "4",
-        "--no-acc-loss",
-        "--json",
-    ]
+    words = ["train", "dip", str(clips), "-o", folder, *network, "--steps", "4", "--json"]
     code = (
         "import sys\n"
         "from learned import train\n"
