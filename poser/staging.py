@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.ndimage import grey_opening, uniform_filter1d
 
 from mocap import orientation as ori
 from mocap.calibration import ARM_ANGLE_DEG, pose_bones
@@ -14,6 +15,7 @@ from mocap.skeleton import TOES
 from poser.posing import step
 
 BLEND_S = 1.0  # from the still pose to the motion's first frame
+STRIDE_S = 1.0  # longer than a flight, and than any foot of a walk stays off the floor
 
 
 def on_the_floor(motion: Motion) -> Motion:
@@ -29,6 +31,20 @@ def floor_of(motion: Motion, frame: int = 0) -> float:
     """Height in m of the floor under the lower foot of a frame."""
     toes = motion.p_world_joint[frame, list(TOES), 1]
     return float(toes.min() - motion.skeleton.sole)
+
+
+def floors_of(motion: Motion) -> Array:
+    """(T,) m: the height of the floor under the body at each frame, where it may drift or climb.
+
+    The lower foot's height without the bumps that are shorter than `STRIDE_S` (a grey opening), smoothed: a
+    jump leaves the floor where it is, a steady climb takes it along.
+    """
+    feet = motion.p_world_joint[:, list(TOES), 1].min(axis=1) - motion.skeleton.sole
+    frames = max(1, round(STRIDE_S * motion.rate_hz))
+    more = min(2 * frames, len(feet) - 1)  # beyond its ends a climb goes on
+    long = np.pad(feet, more, mode="reflect", reflect_type="odd")
+    smooth: Array = uniform_filter1d(grey_opening(long, frames), frames)
+    return smooth[more : more + len(feet)]
 
 
 def with_static_pose(motion: Motion, pose: str, seconds: float) -> Motion:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from poser.staging import floors_of
 from poser.viewer import stage
 from poser.viewer.tracks import Track
 
@@ -38,6 +39,7 @@ class Player:
         middle = (len(tracks) - 1) / 2
         # The first file stands at the left of the picture, which is the bodies' right.
         shifts = [np.array([(k - middle) * SPACING_M, 0.0, 0.0]) for k in range(len(tracks))]
+        self._floors = [floors_of(t.motion) for t in tracks]
         starts = [t.motion.p_world_root[0] * [1, 0, 1] for t in tracks]
         self._figures = [
             stage.Figure(made, k, t.label, t.motion.skeleton, shifts[k] - starts[k],
@@ -65,7 +67,9 @@ class Player:
         # Paths drift by metres: several bodies would not stay side by side.
         several = len(self._tracks) > 1
         self._stay = gui.add_checkbox(
-            "in place", initial_value=several, hint="without the bodies' path on the floor"
+            "in place",
+            initial_value=several,
+            hint="without the bodies' paths and the drift of their height",
         )
 
         @self._play.on_click
@@ -111,9 +115,9 @@ class Player:
             return
         self._shown = shown
         with self._server.atomic():
-            for figure, track, (k, note) in zip(self._figures, self._tracks, shown, strict=True):
-                figure.label = track.label + note
-                self._show(figure, track, k)
+            for i, (k, note) in enumerate(shown):
+                self._figures[i].label = self._tracks[i].label + note
+                self._show(i, k)
 
     def _outside(self, track: Track, t: float) -> str:
         frame = 1.0 / track.motion.rate_hz
@@ -121,11 +125,12 @@ class Player:
             return f" (begins at {self.time_s - t:.2f} s)"
         return " (ended)" if t > track.seconds + frame else ""
 
-    def _show(self, figure: stage.Figure, track: Track, k: int) -> None:
-        motion = track.motion
-        back = np.zeros(3)
+    def _show(self, i: int, k: int) -> None:
+        figure, track = self._figures[i], self._tracks[i]
+        motion, back = track.motion, np.zeros(3)
         if self._stay.value:
-            back = (motion.p_world_root[k] - motion.p_world_root[0]) * [1, 0, 1]
+            back = motion.p_world_root[k] - motion.p_world_root[0]
+            back[1] = self._floors[i][k]
         figure.pose(motion.R_world_joint[k], motion.p_world_joint[k] - back)
         if track.sensors is not None:
             s = track.sensors

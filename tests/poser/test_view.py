@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -19,6 +20,7 @@ from mocap.formats.smpl import SmplMesh
 from mocap.skeleton import Skeleton
 from poser import motions
 from poser.__main__ import main
+from poser.staging import floors_of
 from poser.viewer import stage, tracks
 from poser.viewer.player import Player
 from poser.viewer.skins import capsule, skin
@@ -204,3 +206,29 @@ def test_ctrl_c_ends_the_viewer(
     assert said.out == ""
     assert "http://127.0.0.1:181" in said.err
     assert said.err.splitlines()[-1] == "poser view: interrupted"
+
+
+def test_in_place_a_body_stands_whatever_its_path() -> None:
+    """Heights that drift or climb are taken off; a jump is not, nor anything of a motion on the floor."""
+    walk, jumps = motions.walk(6.0), motions.jumping_jack(4.0)
+    np.testing.assert_allclose(floors_of(walk), 0.0, atol=0.005)
+    climb = np.outer(0.3 * np.arange(len(walk)) / walk.rate_hz, [0.0, 1.0, 0.0])
+    drifting = replace(walk, p_world_root=walk.p_world_root + climb)
+    np.testing.assert_allclose(floors_of(drifting), climb[:, 1], atol=0.03)
+    feet = jumps.p_world_joint[:, [10, 11], 1].min(axis=1) - floors_of(jumps)
+    assert feet.max() - feet.min() > 0.06
+    assert floors_of(walk.slice(0, 1)).shape == (1,)
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_the_player_takes_the_drift_off(made: Any) -> None:
+    walk = motions.walk(4.0)
+    up = replace(walk, p_world_root=walk.p_world_root + np.array([0.0, 0.7, 0.0]))
+    player = Player(made, [tracks.Track("a", walk), tracks.Track("b", up)])
+    heights = []
+    for stay in (True, False):
+        player._stay.value, player._shown = stay, None
+        player.show()
+        heights.append([f._mesh.bones[10].position[1] for f in player._figures])
+    assert heights[0][1] == pytest.approx(heights[0][0], abs=1e-6)
+    assert heights[1][1] == pytest.approx(heights[1][0] + 0.7, abs=1e-6)
