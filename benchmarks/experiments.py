@@ -100,8 +100,7 @@ def _tables() -> list[Variant]:
 
 
 def _imuposer(name: str, corpora: tuple[str, ...] = ("cmu",), **changes: Any) -> Variant:
-    """CMU's clips alone where nothing else is said, as `poser train` has it; limbs spliced, as it has not."""
-    changes = {"augmentation": Augmentation()} | changes
+    """CMU's clips alone where nothing else is said, as `poser train` has it."""
     return variant(name, corpora=corpora, network="imuposer", frames=125, **changes)
 
 

@@ -20,6 +20,16 @@ from mocap.formats._files import write_aside
 
 # Settings that may change when a run goes on: when it ends, and what suits the machine.
 FREE = ("steps", "minutes", "patience", "bfloat16")
+# Settings by the options of poser train that state them, in the order in which they are told.
+OPTIONS = {
+    "config.architecture": "--architecture", "config.hidden": "--hidden",
+    "config.normalisation": "--normalisation", "config.use_acc": "use_acc (--no-acc)",
+    "config.dropout": "dropout (--no-dropout)", "reconstruct_acc": "reconstruct_acc (--no-acc-loss)",
+    "batch": "--batch", "frames": "--frames", "learning_rate": "--rate", "cooldown": "--cooldown",
+    "every": "--every", "seed": "--seed",
+    "augmentation.splice": "splice (--no-splice)",
+}  # fmt: skip
+NAMED = 3  # settings that an error names
 ALIKE = 1e-5  # what means of rotations and of m/s^2 may differ by in `outline`s of the same windows
 
 
@@ -123,7 +133,8 @@ class RunFolder:
             raise self.damaged() from e
         mine = identity.to_state()
         if settings != _fixed(mine["settings"]):
-            raise self._other("with other settings", "the same settings")
+            words = _differences(settings, _fixed(mine["settings"]))
+            raise self._other(f"with other settings ({words})", "the same settings")
         if state.get("data", "") and mine["data"] and state["data"] != mine["data"]:
             raise self._other("on other motions", "the same motions")
         if state.get("start", mine["start"]) != mine["start"]:
@@ -163,3 +174,35 @@ def _alike(a: list[float], b: list[float]) -> bool:
 def _fixed(settings: str) -> dict[str, Any]:
     """Settings but for those that may change when a run goes on."""
     return {k: v for k, v in json.loads(settings).items() if k not in FREE}
+
+
+def _differences(theirs: dict[str, Any], mine: dict[str, Any]) -> str:
+    """Settings that differ, with both values: `--seed 0 there, 1 here`; `NAMED` of them, then a count."""
+    there, here = _flat(theirs), _flat(mine)
+    if _network(there) != _network(here):  # much else follows from it
+        return f"network {_network(there)} there, {_network(here)} here"
+    names = dict.fromkeys([*OPTIONS, *there, *here])
+    apart = [k for k in names if there.get(k) != here.get(k)]
+    told = [
+        f"{OPTIONS.get(k, k)} {_value(there.get(k))} there, {_value(here.get(k))} here"
+        for k in apart[:NAMED]
+    ]
+    more = f"; and {len(apart) - NAMED} more" if len(apart) > NAMED else ""
+    return "; ".join(told) + more
+
+
+def _flat(settings: dict[str, Any], before: str = "") -> dict[str, Any]:
+    """Nested settings under names with dots: `config.hidden`."""
+    out: dict[str, Any] = {}
+    for name, value in settings.items():
+        own = f"{before}{name}"
+        out |= _flat(value, f"{own}.") if isinstance(value, dict) else {own: value}
+    return out
+
+
+def _network(settings: dict[str, Any]) -> str:
+    return "imuposer" if settings.get("config.architecture") == "imuposer" else "dip"
+
+
+def _value(x: Any) -> str:
+    return f"{x:g}" if isinstance(x, float) else str(x)

@@ -77,13 +77,12 @@ class TrainSettings:
         the validation set (4.1) and IMUPoser's paper states neither. DIP: windows of 60 frames at random
         places, where the paper trains on entire sequences (3.4, 5.1.4). IMUPoser: windows at random places
         with one combination of devices drawn for each, and a number of steps, where the paper has windows
-        that do not overlap, 24 copies of each (4.2) and 80 epochs (4.3); limbs of different clips are not
-        spliced: how they move together is what one device tells of the limbs without any.
+        that do not overlap, 24 copies of each (4.2) and 80 epochs (4.3).
         """
         if network == "imuposer":
             base: dict[str, Any] = {
                 "config": for_network("imuposer"), "batch": 256, "frames": 125, "learning_rate": 3e-4,
-                "decay": 1.0, "clip": float("inf"), "augmentation": Augmentation(splice=0.0),
+                "decay": 1.0, "clip": float("inf"),
             }  # fmt: skip
             return cls(**(base | changes))
         return cls(**changes)

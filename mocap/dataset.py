@@ -18,6 +18,10 @@ from mocap.motion import Motion
 
 Split = Literal["train", "validation", "test"]
 TEST_SUBJECTS, VALIDATION_SUBJECTS = ("02", "05", "09"), ("06", "12")
+NAMES = {
+    "cmu": "the Daz-friendly BVH conversion of CMU's mocap (cgspeed.com)",
+    "bandai": "Bandai-Namco-Research-Motiondataset-2",
+}
 _CMU = re.compile(r"^(\d\d)_\d\d$")
 
 
@@ -46,14 +50,14 @@ def subject_of(name: str) -> str:
 def files(split: Split, collections: tuple[str, ...] = ("cmu", "bandai")) -> list[Path]:
     """BVH files of a split in the cache folder, sorted by name.
 
-    Raises PoserError where a collection has not been unpacked: `tar xf cmu-daz-bvh.tar.xz` there.
+    Raises PoserError where a collection has not been unpacked there.
     """
     found = []
     for collection in collections:
         folder = cache_folder() / {"cmu": "cmu-daz-bvh", "bandai": "bandai2-bvh"}[collection]
         paths = sorted(folder.glob("*.bvh"))
         if not paths:
-            raise PoserError(f"{folder} holds no .bvh file: unpack the {collection} archive there")
+            raise PoserError(f"{folder} holds no .bvh file: unpack {NAMES[collection]} there")
         for i, path in enumerate(paths):
             index = i if collection == "bandai" else None
             if split_of(path.stem, index) == split:

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,7 +18,14 @@ from mocap.motion import Motion
 from mocap.recording import Recording
 from mocap.skeleton import Skeleton
 from poser.console import Progress, part
-from poser.estimators import at_once, check_devices, everyday, network_of, used
+from poser.estimators import (
+    at_once,
+    check_devices,
+    everyday,
+    network_of,
+    network_of_weights,
+    used,
+)
 from poser.results import NO_SKILL, Compared, Lost, Result
 
 if TYPE_CHECKING:
@@ -38,6 +45,7 @@ class Job:
     the recording has them, else all it has). devices: what IMUPoser sees (None: `everyday` of the sensors
     given, else of all that the recording has).
     reference: a motion, "sip-all", or None for the recording's own. skeleton: the body that is solved for.
+    weights: network -> file, of those that do not run with the shipped weights.
     """
 
     name: str
@@ -49,7 +57,38 @@ class Job:
     solver: str = "ipopt"
     skeleton: Skeleton | None = None
     no_skill: bool = True
+    weights: dict[str, Path] = field(default_factory=dict)
     settings: dict[str, Any] = field(default_factory=dict)
+
+
+def weights_of(paths: Sequence[Path], methods: Sequence[str]) -> dict[str, Path]:
+    """Network -> weights, of the user's files. Raises PoserError for two of one network, or for one that no
+    method runs."""
+    found: dict[str, Path] = {}
+    for path in paths:
+        network = network_of_weights(path)
+        if network in found:
+            raise PoserError(f"{found[network]} and {path} are both weights of {network}; give one")
+        if network not in {NETWORK.get(m) for m in methods}:
+            raise PoserError(
+                f"{path}: weights of {network}, which none of the methods {', '.join(methods)} runs"
+            )
+        found[network] = path.absolute()  # a worker may have another folder
+    return found
+
+
+def weights_used(jobs: Sequence[Job], methods: Collection[str]) -> dict[str, dict[str, str]]:
+    """Network -> file name and, where its description states one, revision of the weights that ran."""
+    from learned import checkpoint
+
+    out = {}
+    for network in sorted({NETWORK[m] for m in methods if m in NETWORK}):
+        path = jobs[0].weights.get(network, checkpoint.shipped(network))
+        revision = checkpoint.describe(path).get("revision")
+        out[network] = {"name": path.name} | (
+            {} if revision is None else {"revision": str(revision)}
+        )
+    return out
 
 
 def canonical(names: Sequence[str]) -> tuple[str, ...]:
@@ -208,7 +247,7 @@ def _method(job: Job, name: str, reference: Motion, tell: Progress) -> Result:
 
     tracked = tracking.track(
         job.recording.select(seen), "hybrid" if name.startswith("hybrid") else name, NETWORK[name],
-        progress=tell, skeleton=job.skeleton,
+        weights=job.weights.get(NETWORK[name]), progress=tell, skeleton=job.skeleton,
     )  # fmt: skip
     return _result(job, tracked.run.motion, reference, seen, tracked.record())
 

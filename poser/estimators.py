@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -141,6 +141,29 @@ def used(network: str, sensors: Sequence[str]) -> dict[str, str]:
             f"imuposer needs one to three of {', '.join(wanted)}; there is: {', '.join(sensors)}"
         )
     return found
+
+
+def served_words(found: Mapping[str, str]) -> list[str]:
+    """A sentence for each place that another sensor serves. found: place -> sensor."""
+    pairs = found.items()
+    return [f"{s} stands in for {p}, which is on the same bone" for p, s in pairs if s != p]
+
+
+def network_of_weights(path: Path) -> str:
+    """dip or imuposer: what the weights of a file are of, by the description beside them.
+
+    Raises PoserError where one of the two is absent or no such description.
+    """
+    if not path.exists():
+        raise PoserError(f"{path}: no such file")
+    if not path.with_suffix(".json").exists():
+        raise PoserError(
+            f"{path}: its description {path.with_suffix('.json').name} is not beside it; "
+            f"poser train --export writes both"
+        )
+    from learned import checkpoint
+
+    return checkpoint.config_of(path).network
 
 
 def check_devices(found: dict[str, str], option: str = "--sensors") -> None:

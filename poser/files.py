@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from mocap.errors import FormatError, PoserError
 from poser.console import UsageError, note
@@ -145,6 +145,14 @@ def note_no_acc(path: Path, used: Recording) -> None:
         )
 
 
+def check_there(path: Path, option: str, words: Sequence[str]) -> None:
+    """Raises PoserError for a file that is absent, naming the words that the option takes beside files."""
+    if not path.exists():
+        raise PoserError(
+            f"{path}: no such file; {option} takes {', '.join(words)} or a motion file"
+        )
+
+
 def raw(path: Path, options: Options | None = None) -> RawRecording:
     """The raw recording in a file; raises FormatError where it holds something else."""
     return _expect(path, "raw", options)  # type: ignore[return-value]
@@ -154,20 +162,25 @@ def _expect(
     path: Path, kind: str, options: Options | None, quiet: bool = False, gaps: bool = True
 ) -> Content:
     from mocap.formats._physics import missing
-    from mocap.motion import Motion
     from mocap.recording import Recording
 
     doc = read(path, options)
-    if doc.kind != kind:
-        hint = _HINTS.get((doc.kind, kind), "")
-        if not isinstance(doc.content, Motion) and kind == "motion" and doc.content.reference:
-            first = "once calibrated, " if doc.kind == "raw" else ""
-            hint = f"; {first}poser compare writes the reference motion in it as reference.npz"
-        raise FormatError(path, f"holds {_KINDS[doc.kind]}, expected {_KINDS[kind]}{hint}")
-    untold = missing(doc.content) if not gaps and isinstance(doc.content, Recording) else []
+    content = expected(path, doc, kind)
+    untold = missing(content) if not gaps and isinstance(content, Recording) else []
     for text in () if quiet else doc.warnings:
         if text not in untold:
             note(f"{path}: {text}")
+    return content
+
+
+def expected(path: Path, doc: Document, kind: str) -> Any:
+    """The content of what was read of a file; raises FormatError where it is of another kind."""
+    if doc.kind != kind:
+        hint = _HINTS.get((doc.kind, kind), "")
+        if kind == "motion" and getattr(doc.content, "reference", None) is not None:
+            first = "once calibrated, " if doc.kind == "raw" else ""
+            hint = f"; {first}poser compare writes the reference motion in it as reference.npz"
+        raise FormatError(path, f"holds {_KINDS[doc.kind]}, expected {_KINDS[kind]}{hint}")
     return doc.content
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from poser.console import UsageError
 
@@ -178,6 +178,30 @@ def add_output(parser: ArgumentParser, metavar: str, help: str) -> None:
     parser.add_argument("-o", "--output", type=Path, required=True, metavar=metavar, help=help)
 
 
+def stand_behind(parser: ArgumentParser, dest: str) -> None:
+    """Let the last positional argument, one that may be left out, stand behind options too.
+
+    argparse settles it with the positional before it, and options between the two leave it out: of
+    `train dip -o run MOTION` it would not know the MOTION.
+    """
+    strict = parser.parse_known_args
+
+    def parse(args: Sequence[str] | None = None, namespace: Any = None) -> tuple[Any, list[str]]:
+        found, rest = strict(args, namespace)
+        given = getattr(found, dest)
+        if any(word.startswith("-") for word in rest):
+            return found, rest  # an option that is not known, and perhaps its value
+        if isinstance(given, list):
+            setattr(found, dest, [*given, *map(Path, rest)])
+            return found, []
+        if given is None and len(rest) == 1:
+            setattr(found, dest, Path(rest[0]))
+            return found, []
+        return found, rest
+
+    vars(parser)["parse_known_args"] = parse
+
+
 def sensors(spec: str | None, available: tuple[str, ...] | None = None) -> tuple[str, ...]:
     """Sensor names of a spec, in which sets and names may be mixed; None means all. A name that no table
     knows is wrong usage.
@@ -192,14 +216,69 @@ def sensors(spec: str | None, available: tuple[str, ...] | None = None) -> tuple
             return places.parse(_without_sets(spec or "six", places.SUIT))
         except SensorError as e:
             raise UsageError(f"argument --sensors: {e}") from e
-    return places.parse(_without_sets(spec or "all", available), available)
+    names = _spelt(spec or "all", available)
+    sets = [n for n in ("six", "five") if set(places.SETS[n]) <= set(available)]
+    _check_there([n for n in names if n not in available], available, sets)
+    return names
+
+
+def served(
+    spec: str | None, available: tuple[str, ...], option: str = "--sensors"
+) -> dict[str, str]:
+    """Name -> the sensor that a network reads for it, of those `available`; a spec as `sensors` takes it.
+
+    A place that is absent is served by another sensor on the same bone, and of `five` what there is will do:
+    networks know bones. Raises SensorError for a name that nothing serves.
+    """
+    from mocap import sensors as places
+    from poser.estimators import stand_in
+
+    if spec is not None and not spec.strip():
+        raise UsageError(f"argument {option}: is empty")
+
+    def of(names: Sequence[str]) -> dict[str, str]:
+        known = (n for n in names if n in available or n in places.PLACES)
+        return {n: s for n in known if (s := stand_in(n, available)) is not None}
+
+    names = _spelt(spec or "all", available)
+    found = of(names)
+    free = places.FIVE if found and "five" in _words(spec or "all") else ()
+    sets = [n for n in ("six", "five") if len(of(places.SETS[n])) == len(places.SETS[n])]
+    _check_there([n for n in names if n not in found and n not in free], available, sets)
+    return found
+
+
+def _check_there(missing: Sequence[str], available: tuple[str, ...], sets: Sequence[str]) -> None:
+    """Raises SensorError for the first of what is missing, naming what there is. sets: beside `all`."""
+    from mocap.errors import SensorError
+
+    if missing:
+        which = f"the sets {', '.join(sets)}, all" if sets else "all"
+        raise SensorError(
+            f"sensor {', '.join(missing)} not in the recording; there is: {', '.join(available)} (or {which})"
+        )
+
+
+def _words(spec: str) -> list[str]:
+    return [n.strip() for n in spec.split(",")]
+
+
+def _spelt(spec: str, every: tuple[str, ...]) -> tuple[str, ...]:
+    """The names of a list, its sets written out. Raises SensorError where one stands there twice."""
+    from mocap import sensors as places
+
+    if spec.strip() == "all":
+        return every
+    listed = _without_sets(spec, every)
+    names = places.SETS.get(listed.strip()) or tuple(n for n in _words(listed) if n)
+    return places.parse(",".join(names), names)
 
 
 def _without_sets(spec: str, every: tuple[str, ...]) -> str:
     """A list with its sets written out, each name once: `six,left_foot`. every: what `all` is."""
     from mocap import sensors as places
 
-    names = [n.strip() for n in spec.split(",")]
+    names = _words(spec)
     sets = {**places.SETS, "all": every}
     if len(names) == 1 or not any(n in sets for n in names):
         return spec

@@ -145,6 +145,8 @@ def _is_motion(path: Path) -> bool:
 def _size(path: Path) -> int:
     try:
         return path.stat().st_size
+    except FileNotFoundError as e:
+        raise PoserError(f"{path}: no such file") from e
     except OSError as e:
         raise PoserError(f"{path}: {e.strerror or e}") from e
 

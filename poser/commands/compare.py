@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mocap.errors import PoserError
-from poser import files, options
+from poser import estimators, files, options
 from poser.console import (
     DONE,
     UsageError,
@@ -77,6 +77,10 @@ def add_arguments(parser: ArgumentParser) -> None:
         help="sensors that IMUPoser sees, one to three at a time (default: told)",
     )  # fmt: skip
     parser.add_argument(
+        "--weights", type=options.weights, nargs="+", default=[], metavar="FILE",
+        help="weights of your own (.safetensors) in place of the shipped, at most one FILE a network",
+    )  # fmt: skip
+    parser.add_argument(
         "--solver", choices=("ipopt", "ipopt-cold", "banded"), default="ipopt",
         help="of SOP, SIP and sip-all (default: ipopt)",
     )  # fmt: skip
@@ -130,6 +134,7 @@ def _compare(args: Namespace) -> int:
         if not measured:
             raise PoserError(_nothing(found))
         record = results.to_json(found)
+        record["weights"] = comparison.weights_used(jobs, record["mean"])
         record["motions"] = {c.name: str(where[c.name].relative_to(args.output)) for c in measured}
         files.write_text(args.output / "results.json", json_text(record) + "\n")
         facts = _facts(args, jobs, found)
@@ -146,7 +151,7 @@ def _compare(args: Namespace) -> int:
 
 def _check_inputs(args: Namespace, outputs: list[Path]) -> None:
     """None of the files to be written or removed may be one that is read."""
-    inputs = [*args.recordings]
+    inputs = [*args.recordings, *args.weights]
     if args.reference not in (None, "sip-all"):
         inputs.append(Path(args.reference))
     for path in outputs:
@@ -160,12 +165,15 @@ def _jobs(args: Namespace) -> list[Job]:
     from poser import clock, comparison
     from poser.commands.solve import cut_window
 
+    methods = args.methods or comparison.METHODS
+    weights = comparison.weights_of(args.weights, methods)
     reference: Any = args.reference
     if reference is not None and reference != "sip-all":
         if len(args.recordings) > 1:
             raise UsageError(
                 "argument --reference: one motion file cannot serve several recordings"
             )
+        files.check_there(Path(reference), "--reference", ("sip-all",))
         reference = files.motion(Path(reference))
     jobs: list[Job] = []
     names = _names(args.recordings)
@@ -173,7 +181,7 @@ def _jobs(args: Namespace) -> list[Job]:
         recording = files.recording(path, gaps=False)
         with files.about(path):
             sensors = options.sensors(args.sensors, recording.sensors) if args.sensors else None
-            devices = options.sensors(args.devices, recording.sensors) if args.devices else None
+            devices = _named_devices(path, args.devices, recording.sensors)
             window, first = cut_window(recording, args.begin, args.end)
         truth = reference
         if not isinstance(truth, str | None):
@@ -188,12 +196,13 @@ def _jobs(args: Namespace) -> list[Job]:
         job = comparison.Job(
             name,
             window,
-            args.methods or comparison.METHODS,
+            methods,
             sensors,
             devices,
             truth,
             args.solver,
             Skeleton.default(args.height) if args.height else None,
+            weights=weights,
         )
         read = comparison.read_by_any(job)
         if read:
@@ -203,6 +212,16 @@ def _jobs(args: Namespace) -> list[Job]:
             files.note_no_acc(path, window.select(network_read))
         jobs.append(job)
     return jobs
+
+
+def _named_devices(path: Path, spec: str | None, there: tuple[str, ...]) -> tuple[str, ...] | None:
+    """The sensors that serve for those of --devices; a note tells where that is another one."""
+    if spec is None:
+        return None
+    found = options.served(spec, there, "--devices")
+    for text in estimators.served_words(found):
+        note(f"{path}: {text}")
+    return tuple(dict.fromkeys(found.values()))
 
 
 def _names(paths: list[Path]) -> list[str]:
@@ -251,6 +270,10 @@ def _facts(args: Namespace, jobs: list[Job], found: Sequence[Compared | Lost]) -
         )
         facts["Part"] = ", ".join(f"{a:.2f} to {b:.2f} s" for a, b in ends[:6]) + (
             ", ..." if len(ends) > 6 else ""
+        )
+    if args.weights:
+        facts["Weights of the user"] = ", ".join(
+            f"{path.name} ({network})" for network, path in first.weights.items()
         )
     devices = _devices(jobs, found)
     if devices:

@@ -2,7 +2,9 @@
 
 A motion of any known format becomes an AMASS-style .npz or a .bvh; a raw or calibrated recording
 becomes a native .npz. The output's suffix decides. --rate is for files that state none; --resample writes
-a motion at another one.
+a motion at another one. --reference puts a motion into a recording as what is true of it: for poser
+finetune, evaluate and compare. Both are taken at the times that they state (a motion without one must last as
+long as the recording), and what of the recording the motion does not cover is cut off.
 """
 
 from __future__ import annotations
@@ -12,36 +14,72 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mocap.errors import FormatError
-from poser import files, options
+from poser import files, options, references
 from poser.console import DONE, UsageError, note, progress, say
 
 if TYPE_CHECKING:
     from mocap.formats import Content, Document
+    from mocap.recording import Recording
 
 HELP = "between file formats"
 
 
 def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("input", type=Path, metavar="IN", help="a motion or a recording")
-    parser.add_argument("output", type=Path, metavar="OUT", help="a .npz or .bvh file")
+    parser.add_argument(
+        "output", type=Path, nargs="?", metavar="OUT", help="a .npz or .bvh file (or -o)"
+    )
+    parser.add_argument(
+        "-o", "--output", dest="other_output", type=Path, metavar="OUT", help="the same"
+    )
     parser.add_argument(
         "--resample", type=options.rate, metavar="HZ", help="rate of the motion that is written"
     )
+    parser.add_argument(
+        "--reference", type=options.file, metavar="MOTION",
+        help="of a calibrated recording: this motion becomes its reference",
+    )  # fmt: skip
     options.add_reading(parser)
+    options.stand_behind(parser, "output")
 
 
 def run(args: Namespace) -> int:
-    files.check_output(args.output, [args.input], (".npz", ".bvh"))
+    output = _output(args)
+    inputs = [args.input, *([args.reference] if args.reference else [])]
+    files.check_output(output, inputs, (".npz",) if args.reference else (".npz", ".bvh"))
     with progress(f"converting {args.input.name}") as tell:
         doc = files.read(args.input, options.reading(args))
         _check_rate(args, doc)
         for text in (*doc.assumptions, *doc.warnings):
             note(f"{args.input}: {text}")
-        content = _prepared(args, doc.content)
-        tell(0.5, f"writing {args.output.name}")
-        files.write(args.output, content)
-    say(f"{args.output}: {doc.kind}, {len(content)} frames at {content.rate_hz:g} Hz")
+        content = _prepared(args, output, doc.content)
+        if args.reference:
+            content = _with_reference(args, files.expected(args.input, doc, "recording"))
+        tell(0.5, f"writing {output.name}")
+        files.write(output, content)
+    with_it = f" with {args.reference} as its reference" if args.reference else ""
+    say(f"{output}: {doc.kind}{with_it}, {len(content)} frames at {content.rate_hz:g} Hz")
     return DONE
+
+
+def _output(args: Namespace) -> Path:
+    """Where to write to, however it is said; raises UsageError where it is not, or twice."""
+    said = [path for path in (args.output, args.other_output) if path is not None]
+    if not said:
+        raise UsageError("the following arguments are required: OUT (or -o OUT)")
+    if len(said) > 1:
+        raise UsageError(f"argument -o: {said[0]} is the output already")
+    return said[0]
+
+
+def _with_reference(args: Namespace, recording: Recording) -> Recording:
+    """The recording with the motion of --reference in it."""
+    from mocap.formats import Options
+
+    # What is said of sensors' files, rate and names among it, is not said of the motion.
+    body = Options(height=args.height, scale=args.scale, smpl=args.smpl)
+    motion = files.motion(args.reference, body)
+    return references.with_reference(args.input, recording, args.reference, motion)
 
 
 def _check_rate(args: Namespace, doc: Document) -> None:
@@ -53,14 +91,14 @@ def _check_rate(args: Namespace, doc: Document) -> None:
         )
 
 
-def _prepared(args: Namespace, content: Content) -> Content:
+def _prepared(args: Namespace, output: Path, content: Content) -> Content:
     """What is written; raises FormatError for what the output cannot hold."""
     from mocap.motion import Motion
 
     if isinstance(content, Motion):
         with files.about(args.input):
             return content if args.resample is None else content.resampled(args.resample)
-    if args.output.suffix.lower() == ".bvh":
+    if output.suffix.lower() == ".bvh":
         raise FormatError(args.input, "holds sensor data, and a .bvh file holds a motion; use .npz")
     if args.resample is not None:
         raise FormatError(

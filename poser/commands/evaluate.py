@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mocap.errors import FormatError
-from poser import clock, files, options
+from poser import clock, files, options, references
 from poser.console import DONE, emit, note, table
 
 if TYPE_CHECKING:
@@ -44,6 +44,10 @@ LABELS: tuple[tuple[str, str, str], ...] = (
     ("translation_m_per_m", "drift per metre travelled", "m"),
 )
 """JSON name, words, unit: the rows of the table."""
+_PART = (
+    "a solve of a part can only be compared with a recording of that part (poser compare --from --to does "
+    "both)"
+)
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -110,7 +114,7 @@ def _evaluate(args: Namespace) -> _Answer:
             available = None if recording is None else recording.sensors
             seen = options.sensors(args.sensors, available)
     if reference is not None and recording is not None and not timed:
-        _same_time(args.recording, recording, reference)
+        references.same_time(args.recording, recording, reference, _PART)
         # Frame for frame the recording's, so on its clock.
         reference, timed = replace(reference, start_s=recording.start_s), True
     stated: dict[Path, Motion | Recording] = {}
@@ -153,16 +157,6 @@ def _shared(stated: Mapping[Path, Motion | Recording]) -> tuple[float, float] | 
         if x.seconds > end - begin + (1 + 1e-6) / x.rate_hz:
             note(f"{path}: of its {clock.words(x)}, {begin:.2f} to {end:.2f} s are compared")
     return begin, end
-
-
-def _same_time(path: Path, recording: Recording, reference: Motion) -> None:
-    """Raises FormatError where they differ by more than a frame."""
-    lasts = [len(x) / x.rate_hz for x in (recording, reference)]
-    if abs(lasts[0] - lasts[1]) > 1.5 / min(recording.rate_hz, reference.rate_hz):
-        raise FormatError(
-            path, f"lasts {lasts[0]:.2f} s, the reference {lasts[1]:.2f} s: a solve of a part can only be "
-            f"compared with a recording of that part (poser compare --from --to does both)",
-        )  # fmt: skip
 
 
 def _no_skill(

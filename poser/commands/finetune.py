@@ -101,7 +101,8 @@ def _recording(path: Path, model: Model) -> tuple[Recording, dict[str, str]]:
     if recording.reference is None:
         raise FormatError(
             path,
-            "holds no reference motion to learn from; poser solve makes one from all sensors of a suit",
+            f"holds no reference motion to learn from; poser convert {path} -o WITH.npz --reference MOTION "
+            f"puts one in (poser solve makes one from all sensors of a suit)",
         )
     config = model.config
     with files.about(path):

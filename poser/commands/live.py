@@ -12,8 +12,10 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from mocap.errors import PoserError
 from poser import estimators, files, options
 from poser.console import DONE, UsageError, complain, emit, note
+from poser.live import addresses
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -26,6 +28,12 @@ if TYPE_CHECKING:
 HELP = "poses while the person moves, from the network or a recording"
 METHODS = ("dip", "imuposer", "imuposer-adam", "hybrid", "hybrid-dip", "hybrid-imuposer")
 SUFFIXES = (".npz", ".bvh")
+NETWORK_DEFAULTS: dict[str, object] = {
+    "calibration": "n", "facing": 0.0, "countdown": 5.0, "up": "y", "rate": 60.0, "buffer": 0.05,
+    "map": None, "devices": None,
+}  # fmt: skip
+"""Of sensors from the network. The parser leaves them unset, so that they can be refused with a recording."""
+SINKS = "FILE.npz, FILE.bvh, vmc:PORT, vmc:HOST:PORT or viewer"
 
 
 def _speed(text: str) -> float | None:
@@ -38,10 +46,13 @@ def add_arguments(parser: ArgumentParser) -> None:
     )
     parser.add_argument(
         "--sink", action="append", default=[], metavar="S",
-        help="FILE.npz, FILE.bvh, vmc:PORT, vmc:HOST:PORT or viewer; may be repeated",
+        help=f"{SINKS}; may be repeated",
     )  # fmt: skip
     parser.add_argument("--method", choices=METHODS, default="hybrid", help="default: hybrid")
     parser.add_argument("--network", choices=("dip", "imuposer"), help="the hybrid's network")
+    parser.add_argument(
+        "--weights", type=options.weights, metavar="FILE", help="weights of your own (.safetensors)"
+    )
     parser.add_argument(
         "--sensors", metavar="S",
         help=f"{options.SENSORS_HELP} (default: what the method is made for)",
@@ -54,27 +65,28 @@ def add_arguments(parser: ArgumentParser) -> None:
         "--speed", type=_speed, default=1.0, metavar="X",
         help="of a replay: 2 is twice as fast, max as fast as it goes",
     )  # fmt: skip
-    parser.add_argument("--port", type=int, default=8080, help="of the viewer (default: 8080)")
+    parser.add_argument(
+        "--port", type=addresses.port, default=8080,
+        help="of the viewer (default: 8080, or the next free one; 0: any free one)",
+    )  # fmt: skip
     group = parser.add_argument_group("sensors from the network")
     group.add_argument(
-        "--calibration", default="n", metavar="C",
+        "--calibration", metavar="C",
         help="n or t: stand still in that pose at the start (default: n); a file that poser calibrate "
         "wrote; bones: the messages hold orientations of bones already",
     )  # fmt: skip
     group.add_argument(
-        "--facing", type=options.number, default=0.0, metavar="DEG",
-        help="heading of the wearer in that pose, in the sensors' world (0: +z, 90: +x)",
+        "--facing", type=options.number, metavar="DEG",
+        help="heading of the wearer in that pose, in the sensors' world (default: 0, +z; 90: +x)",
     )  # fmt: skip
     group.add_argument(
-        "--countdown", type=options.number, default=5.0, metavar="S",
+        "--countdown", type=options.number, metavar="S",
         help="time to get into the pose (default: 5)",
     )  # fmt: skip
-    group.add_argument("--up", choices=("y", "z"), default="y", help="the sensors' vertical axis")
+    group.add_argument("--up", choices=("y", "z"), help="the sensors' vertical axis (default: y)")
+    group.add_argument("--rate", type=options.rate, metavar="HZ", help="of the poses (default: 60)")
     group.add_argument(
-        "--rate", type=options.rate, default=60.0, metavar="HZ", help="of the poses (default: 60)"
-    )
-    group.add_argument(
-        "--buffer", type=options.positive, default=0.05, metavar="S",
+        "--buffer", type=options.positive, metavar="S",
         help="the longest wait for a late packet (default: 0.05)",
     )  # fmt: skip
     group.add_argument(
@@ -95,15 +107,17 @@ def run(args: Namespace) -> int:
     from mocap.skeleton import Skeleton
     from poser.live import loop, telling
 
+    _settle(args)
     network = estimators.network_of(args.method, args.network)
+    _check_weights(args.weights, network)
     skeleton = Skeleton.default(args.height)
     source = _source(args, network)
     sinks: list[Sink] = []
     report, begun = loop.Report(), False
     try:
         estimator = estimators.make(
-            args.method, source.rate_hz, source.sensors, network=args.network, skeleton=skeleton,
-            joint=source.joint, seat=source.seat,
+            args.method, source.rate_hz, source.sensors, network=args.network, weights=args.weights,
+            skeleton=skeleton, joint=source.joint, seat=source.seat,
         )  # fmt: skip
         source.read(estimator.sensors)
         for text in args.sink:
@@ -121,20 +135,46 @@ def run(args: Namespace) -> int:
     return DONE
 
 
-def _source(args: Namespace, network: str) -> Source:
+def _address(args: Namespace) -> tuple[str, str]:
+    """udp or osc, and the address behind it; empty where the source is a recording."""
     kind, _, rest = args.source.partition(":")
-    if kind in ("udp", "osc") and rest:
-        return _network(args, kind, rest, _worn(args, network))
-    from poser.live.sources import Replay
-
-    if kind in ("udp", "osc") and not Path(args.source).exists():
+    if kind not in ("udp", "osc") or (not rest and Path(args.source).exists()):
+        return "", ""
+    if not rest:
         raise UsageError(
             f"argument --source: {args.source!r} lacks the port to listen on, as in {kind}:9000 "
             f"({kind}:0.0.0.0:9000 for other machines)"
         )
+    return kind, rest
+
+
+def _check_weights(path: Path | None, network: str) -> None:
+    """Before anything is opened: are they there, with their description, and of the method's network?"""
+    if path is not None and (found := estimators.network_of_weights(path)) != network:
+        raise PoserError(f"{path}: weights of {found}, expected {network}")
+
+
+def _settle(args: Namespace) -> None:
+    """The defaults of sensors from the network. Raises UsageError for what a recording has no use for."""
+    kind, _ = _address(args)
+    # Of a file that is not there that is the better error: udp:9000 may have been meant.
+    refused = not kind and Path(args.source).exists()
+    for name, default in NETWORK_DEFAULTS.items():
+        if getattr(args, name) is None:
+            setattr(args, name, default)
+        elif refused:
+            raise UsageError(
+                f"argument --{name}: for sensors from the network, not for a recording"
+            )
+
+
+def _source(args: Namespace, network: str) -> Source:
+    kind, rest = _address(args)
+    if kind:
+        return _network(args, kind, rest, _worn(args, network))
+    from poser.live.sources import Replay
+
     path = Path(args.source)
-    if args.devices:
-        raise UsageError("argument --devices: for sensors from the network, not for a recording")
     for text in args.sink:
         if _is_file(text):
             files.check_output(Path(text), [path], SUFFIXES)
@@ -175,7 +215,7 @@ def _worn(args: Namespace, network: str) -> tuple[str, ...]:
 
 
 def _network(args: Namespace, kind: str, rest: str, sensors: tuple[str, ...]) -> Network:
-    from poser.live import addresses, osc, packets
+    from poser.live import osc, packets
     from poser.live.assembler import Assembler
     from poser.live.receiver import Receiver, y_up
     from poser.live.sources import Network
@@ -195,12 +235,16 @@ def _network(args: Namespace, kind: str, rest: str, sensors: tuple[str, ...]) ->
 
 
 def _announce(args: Namespace, source: Source, network: str) -> None:
-    """What the wearer should know before anything comes: on stderr."""
-    kind, _, rest = args.source.partition(":")
-    if kind not in ("udp", "osc"):
-        return
-    from poser.live import addresses
+    """What the user should know before anything comes: on stderr."""
+    kind, rest = _address(args)
+    if kind:
+        _announce_network(args, source, network, rest)
+    if not args.sink and not args.json:
+        # With --json it may be the latency alone that is wanted. At once, not among the notes at the end.
+        complain(f"without --sink poses go nowhere; it takes {SINKS}", "note")
 
+
+def _announce_network(args: Namespace, source: Source, network: str, rest: str) -> None:
     address = addresses.parse(rest, "argument --source")
     names = ", ".join(source.facts()["devices"])
     complain(f"listening on {address} for {names}", "live")
@@ -281,7 +325,6 @@ def _sink(text: str, source: Source, skeleton: Skeleton, args: Namespace) -> Sin
 
         return ViewerSink(skeleton, args.port)
     if text.startswith("vmc:"):
-        from poser.live import addresses
         from poser.live.vmc import VmcSink
 
         return VmcSink(addresses.parse(text[4:], "argument --sink"), skeleton)

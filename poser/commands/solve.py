@@ -73,6 +73,8 @@ def run(args: Namespace) -> int:
             "argument --start: one only with --self-calibrate, where costs do not compare"
         )
     given = [Path(name) for name in names if name not in starts.KNOWN]
+    for path in given:
+        files.check_there(path, "--start", starts.KNOWN)
     files.check_output(args.output, [args.recording, *given], (".npz", ".bvh"))
     if args.plot:
         files.check_output(args.plot, [args.recording, args.output], (".png",))

@@ -1,5 +1,6 @@
 """Virtual sensors on motions: one recording a motion, DIR/<motion's stem>.npz.
 
+MOTION are files of any motion format, or folders that are searched for them in all their depth.
 The noise of a file depends on the seed and on the file's name alone, so that neither the order nor
 the number of the motions changes it.
 """
@@ -14,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mocap.errors import PoserError
-from poser import files, options
+from poser import files, options, training_files
 from poser.console import DONE, FAILED, UsageError, complain, emit, note, progress, say
 
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ STATIC_S = 3.0
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    parser.add_argument("motions", type=Path, nargs="+", metavar="MOTION", help="motion files")
+    parser.add_argument("motions", type=Path, nargs="+", metavar="MOTION", help="files or folders")
     options.add_output(parser, "DIR", "folder of the recordings, made if missing")
     parser.add_argument(
         "--sensors", default="six", metavar="S", help=f"{options.SENSORS_HELP} (default: six)"
@@ -72,10 +73,11 @@ def run(args: Namespace) -> int:
 
 def _synthesize(args: Namespace) -> int:
     sensors = options.sensors(args.sensors)
-    targets = _targets(args.motions, args.output)
+    sources = _sources(args.motions)
+    targets = _targets(sources, args.output)
     done, failed = [], False
     with progress("synthesizing") as tell:
-        for k, (source, target) in enumerate(zip(args.motions, targets, strict=True)):
+        for k, (source, target) in enumerate(zip(sources, targets, strict=True)):
             tell(k / len(targets), source.name)
             try:
                 made = _one(source, sensors, args)
@@ -94,6 +96,14 @@ def _synthesize(args: Namespace) -> int:
         for _, target, made in done:
             say(f"{target}: {len(made)} frames at {made.rate_hz:g} Hz, {len(sensors)} sensors")
     return FAILED if failed else DONE
+
+
+def _sources(given: Sequence[Path]) -> list[Path]:
+    """The motions: files as they are, whether they can be read or not, and those in folders."""
+    found = []
+    for path in given:
+        found += training_files.motions([path]) if path.is_dir() else [path]
+    return found
 
 
 def noise_generator(seed: int, stem: str) -> np.random.Generator:

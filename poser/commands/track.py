@@ -71,12 +71,13 @@ def run(args: Namespace) -> int:
         raise UsageError("argument --uncertainty: a .bvh file cannot hold it, an .npz file can")
     inputs = [args.recording, *([args.weights] if args.weights else [])]
     files.check_output(args.output, inputs, (".npz", ".bvh"))
-    _check_weights(args.weights)
+    _check_weights(args.weights, network)
     whole = files.recording(args.recording, gaps=False)
     with files.about(args.recording):
-        recording = whole.select(options.sensors(args.sensors, whole.sensors))
+        named = options.served(args.sensors, whole.sensors)
+        recording = whole.select(tuple(dict.fromkeys(named.values())))
         recording, _ = cut_window(recording, args.begin, args.end)
-        recording = _chosen(recording, network, args.recording, free=args.sensors is None)
+        recording = _chosen(recording, network, args.recording, named, free=args.sensors is None)
     files.note_gaps(args.recording, recording, whole)
     files.note_no_acc(args.recording, recording)
     tracked = _tracked(args, recording, network)
@@ -94,18 +95,23 @@ def run(args: Namespace) -> int:
     return DONE
 
 
-def _check_weights(path: Path | None) -> None:
-    """Before anything is read: weights without their description are of no use."""
-    if path is not None and path.exists() and not path.with_suffix(".json").exists():
-        raise PoserError(
-            f"{path}: its description {path.with_suffix('.json').name} is not beside it; "
-            f"poser train --export writes both"
-        )
+def _check_weights(path: Path | None, network: str) -> None:
+    """Before anything is read: are they there, with their description, and of the method's network?"""
+    if path is None:
+        return
+    found = estimators.network_of_weights(path)
+    if found != network:
+        raise PoserError(f"{path}: weights of {found}, expected {network}")
 
 
-def _chosen(recording: Recording, network: str, path: Path, free: bool) -> Recording:
+def _chosen(
+    recording: Recording, network: str, path: Path, named: dict[str, str], free: bool
+) -> Recording:
     """The sensors that the network reads; says where one stands in for another, and, where the choice is
-    free, which of more than IMUPoser can use are taken."""
+    free, which of more than IMUPoser can use are taken.
+
+    named: what the user named, and the sensor that serves for it.
+    """
     names = recording.sensors
     if network == "imuposer" and free:
         names = estimators.everyday(names, recording)
@@ -115,9 +121,8 @@ def _chosen(recording: Recording, network: str, path: Path, free: bool) -> Recor
         note(f"{path}: imuposer sees {', '.join(found)}; --sensors chooses others")
     if network == "imuposer":
         estimators.check_devices(estimators.at_once(found, recording))
-    for place, sensor in found.items():
-        if sensor != place:
-            note(f"{path}: {sensor} stands in for {place}, which is on the same bone")
+    for text in estimators.served_words(named | found):
+        note(f"{path}: {text}")
     idle = [n for n in recording.sensors if n not in found.values()]
     if idle and not free:
         note(f"{path}: {network} does not read {', '.join(idle)}")

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from mocap.errors import PoserError
 from poser import files, licences, options, training, training_files
-from poser.console import UsageError, note, part, progress
+from poser.console import UsageError, note, part, progress, say
 
 if TYPE_CHECKING:
     from learned.corpus import Corpus
@@ -47,7 +47,10 @@ BANDAI_STEP = 12  # every so many of Bandai's validation clips: they are much al
 
 def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("network", choices=training.NETWORKS)
-    parser.add_argument("motions", type=Path, nargs="*", metavar="MOTION", help="files or folders")
+    parser.add_argument(
+        "motions", type=Path, nargs="*", default=[], metavar="MOTION", help="files or folders"
+    )
+    options.stand_behind(parser, "motions")
     options.add_output(parser, "FOLDER", "where the run lives, made if missing")
     parser.add_argument(
         "--validation", type=Path, nargs="+", default=[], metavar="MOTION",
@@ -61,6 +64,9 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--share", type=training.share, default=1.0, metavar="X",
         help="train on this share of the clips only (default: 1)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--no-splice", action="store_true", help="never the legs of one clip under the trunk of another"
     )  # fmt: skip
     what = parser.add_argument_group("the network (DIP's experiments)")
     what.add_argument(
@@ -97,7 +103,7 @@ def run(args: Namespace) -> int:
         corpus, validation, about = _data(args, tell)
     if args.share < 1:
         corpus = corpus.subset(args.share, settings.seed)
-        about["clips"] = len(corpus.names)
+        about |= {"clips": len(corpus.names), "minutes": round(corpus.seconds / 60, 1)}
     learnt = [Path(name) for name in corpus.names if not name.startswith(generated.NAME)]
     world = parallel.join(args.device)
     config = settings.config
@@ -105,6 +111,11 @@ def run(args: Namespace) -> int:
         corpus, config.sensors, config.rate_hz, settings.frames, settings.augmentation, world.device
     )
     del corpus  # as much memory as the windows' splines; nothing else reads it
+    if world.first and not args.json:
+        say(
+            f"{args.output}: {about['clips']} clips, {about['minutes']:g} min to train on, "
+            f"{about['validation_clips']} to validate on"
+        )
     key = f"{about['key']} {args.share:g}"
     record: dict[str, Any] = {"data": about, "licence": _own_licence(args)}
     if args.start:
@@ -117,6 +128,7 @@ def run(args: Namespace) -> int:
 
 def _settings(args: Namespace) -> TrainSettings:
     """Settings of the options. Raises UsageError where one does not concern the network."""
+    from learned.augmentation import Augmentation
     from learned.models import for_network
     from learned.settings import TrainSettings
 
@@ -134,6 +146,8 @@ def _settings(args: Namespace) -> TrainSettings:
     if args.no_dropout:
         config["dropout"] = 0.0
     changes = training.changes(args) | {"config": for_network(args.network, **config)}
+    if args.no_splice:
+        changes["augmentation"] = Augmentation(splice=0.0)
     # The loss keeps the network from dropping accelerations of its input (3.4.2): none are there.
     acc = not (args.no_acc or args.no_acc_loss)
     return TrainSettings.paper(args.network, reconstruct_acc=acc, **changes)

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from poser import options
 from poser.console import DONE, complain, progress
+from poser.live import addresses
 
 HELP = "motions and recordings in the browser"
 
@@ -19,9 +20,12 @@ HELP = "motions and recordings in the browser"
 def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("files", type=Path, nargs="+", metavar="FILE", help="motions or recordings")
     parser.add_argument(
-        "--port", type=int, default=8080, help="default: 8080, or the next free one"
+        "--port", type=addresses.port, default=8080,
+        help="default: 8080, or the next free one; 0: any free one",
+    )  # fmt: skip
+    parser.add_argument(
+        "--host", default=addresses.LOCALHOST, help="default: 127.0.0.1, this machine only"
     )
-    parser.add_argument("--host", default="127.0.0.1", help="default: 127.0.0.1, this machine only")
     parser.add_argument("--no-browser", action="store_true", help="open no browser")
     options.add_reading(parser)
 
@@ -42,7 +46,7 @@ def run(args: Namespace) -> int:
     made = stage.server(args.host, args.port)
     try:
         player = Player(made, found)
-        url = f"http://{args.host}:{made.get_port()}"
+        url = f"http://{addresses.Address(args.host, made.get_port())}"
         complain(f"{url} (Ctrl-C ends it)", "view")
         if not args.no_browser:
             webbrowser.open(url)

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import socket
+from argparse import ArgumentTypeError
 from dataclasses import dataclass
+from typing import Any
 
+from mocap.errors import PoserError
 from poser.console import UsageError
 
 LOCALHOST = "127.0.0.1"
+LAST_PORT = 65535
 
 
 @dataclass(frozen=True)
@@ -27,6 +32,33 @@ class Address:
 def parse(text: str, what: str) -> Address:
     """`9000`, `0.0.0.0:9000`, `[::1]:9000`. Raises UsageError naming `what`."""
     host, _, port = text.rpartition(":")
-    if not port.isdecimal() or not 0 < int(port) < 65536:
-        raise UsageError(f"{what}: {text!r} is not PORT or HOST:PORT with a port from 1 to 65535")
+    if not _is_port(port):
+        raise UsageError(
+            f"{what}: {text!r} is not PORT or HOST:PORT with a port from 1 to {LAST_PORT}"
+        )
     return Address(host.strip("[]") or LOCALHOST, int(port))
+
+
+def port(text: str) -> int:
+    """The type of an argument: a port to serve on, 0 for any free one."""
+    if text != "0" and not _is_port(text):
+        raise ArgumentTypeError(
+            f"{text!r} is not a port from 1 to {LAST_PORT}, or 0 for a free one"
+        )
+    return int(text)
+
+
+def _is_port(text: str) -> bool:
+    # Not isdecimal alone: int() refuses thousands of digits with an error of its own.
+    return text.isdecimal() and len(text) <= 5 and 0 < int(text) <= LAST_PORT
+
+
+def resolved(address: Address, name: str, kind: socket.SocketKind) -> tuple[int, Any]:
+    """Family and socket address of a host, IPv4 where it has one. Raises PoserError naming `name`."""
+    try:
+        found = socket.getaddrinfo(address.host, address.port, type=kind)
+    # UnicodeError: a name with an empty or too long part.
+    except (OSError, UnicodeError) as e:
+        raise PoserError(f"{name}: the host is unknown") from e
+    family, _, _, _, to = min(found, key=lambda entry: entry[0] != socket.AF_INET)
+    return family, to

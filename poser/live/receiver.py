@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from mocap import orientation as ori
 from mocap.errors import PoserError
-from poser.live.addresses import Address
+from poser.live.addresses import Address, resolved
 from poser.live.packets import MAX_DATAGRAM, Packet, Rejected
 
 RECEIVE_BYTES = 4 << 20  # asked for: some seconds of a suit at 100 Hz
@@ -39,10 +39,13 @@ def y_up(decode: Decoder) -> Decoder:
 
 
 class Receiver:
-    """Datagrams of a UDP socket, decoded; refused ones are counted by reason and never stop it."""
+    """Datagrams of a UDP socket, decoded; refused ones are counted by reason and never stop it.
+
+    Raises PoserError where the host's name is unknown.
+    """
 
     def __init__(self, address: Address, decode: Decoder, clock: Clock = time.monotonic):
-        family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
+        family, self._to = resolved(address, f"cannot listen on {address}", socket.SOCK_DGRAM)
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         # A machine that stops for a second must not lose what arrives meanwhile; the system caps it.
@@ -55,7 +58,7 @@ class Receiver:
     def open(self) -> None:
         """Listen. Raises PoserError where the address is taken or is not ours."""
         try:
-            self._socket.bind((self._address.host, self._address.port))
+            self._socket.bind(self._to)
         except OSError as e:
             raise PoserError(f"cannot listen on {self._address}: {e.strerror or e}") from e
         self._left_s = self._clock()

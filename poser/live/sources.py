@@ -20,6 +20,7 @@ from poser.live.devices import Tracker
 from poser.live.receiver import Clock, Receiver
 
 IDLE_S = 0.002  # the longest wait for something to happen, so that rows leave on time
+MOST_UNKNOWN = 3  # names of unknown devices that are kept: senders choose them, and never end
 SOON_S = 1e-6  # a sample this near its time is due: sleeping for less is no sleep
 
 
@@ -163,6 +164,8 @@ class Network:
         self._tracker = tracker
         self._seconds, self._end_s = seconds, np.inf
         self.calibration: Calibration | None = None
+        self._heard: set[str] = set()
+        self._unknown: list[str] = []
 
     def read(self, sensors: tuple[str, ...]) -> None:
         self.sensors = sensors
@@ -179,14 +182,20 @@ class Network:
     def poll(self) -> list[Sample]:
         for packet, arrival, since in self._receiver.receive(IDLE_S):
             if packet.device not in self._assembler.devices:
-                self._receiver.rejected["device unknown"] += 1
+                self._refuse(packet.device)
                 continue
+            self._heard.add(packet.device)
             if self._tracker is not None and packet.status is not None:
                 self._tracker.hear(packet.device, packet.status)
             if packet.R_world_sensor is not None:
                 self._assembler.push(packet, arrival, since)
         rows = self._assembler.pull(self._clock())
         return [s for s in map(self._sample, rows) if s is not None]
+
+    def _refuse(self, device: str) -> None:
+        self._receiver.rejected["device unknown"] += 1
+        if len(self._unknown) < MOST_UNKNOWN and device not in self._unknown:
+            self._unknown.append(device)
 
     def _sample(self, row: Row) -> Sample | None:
         if self._watch is not None:
@@ -204,6 +213,18 @@ class Network:
         """Whether the pose has not been found yet."""
         return self._watch is not None
 
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Devices that nothing came from yet; none once a tracked one came, for they come and go."""
+        if self._tracker is not None and self._heard:
+            return ()
+        return tuple(n for n in self._assembler.devices if n not in self._heard)
+
+    @property
+    def unknown(self) -> tuple[str, ...]:
+        """The first MOST_UNKNOWN names of devices that are none of ours."""
+        return tuple(self._unknown)
+
     def lag_s(self, time_s: float) -> float | None:
         start = self._assembler.start_s
         return None if start is None else self._clock() - start - time_s
@@ -214,6 +235,7 @@ class Network:
     def facts(self) -> dict[str, Any]:
         out: dict[str, Any] = {
             "rejected": dict(sorted(self._receiver.rejected.items())),
+            "unknown_devices": list(self._unknown),
             "skipped_frames": self._assembler.skipped,
             "silent": list(self._assembler.silent(self._clock())),
             "devices": {n: c.to_dict() for n, c in self._assembler.counts.items()},

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol, runtime_checkable
 
-from poser.console import say, table
+from poser.console import complain, say, table
 from poser.live.loop import Report
 from poser.live.sinks import Sink
-from poser.live.sources import Source
+from poser.live.sources import MOST_UNKNOWN, Network, Source
 
 STATUS_S = 1.0
 RECENT = 300  # poses that the line's latency is of
+PATIENCE_S = 5.0  # for sensors that nothing comes from, before a sentence says so
 BEHIND_S = 0.2  # a loop that is later than this has fallen behind; a slow frame is caught up sooner
 
 
@@ -25,30 +27,80 @@ class Listener(Protocol):
 
 
 class Teller:
-    """Once a second a line: on stderr where it is a terminal, and to the sinks that listen."""
+    """Once a second a line: on stderr where it is a terminal, and to the sinks that listen.
 
-    def __init__(self, source: Source, sinks: Sequence[Sink]):
-        self._source, self._told = source, 0.0
+    After PATIENCE_S, once each and terminal or not: which sensors nothing came from, and which devices are
+    unknown.
+    """
+
+    def __init__(
+        self, source: Source, sinks: Sequence[Sink], clock: Callable[[], float] = time.monotonic
+    ):
+        self._source, self._clock = source, clock
+        self._told, self._began = -STATUS_S, clock()
         self._listeners = [s for s in sinks if isinstance(s, Listener)]
         self._terminal = sys.stderr is not None and sys.stderr.isatty()
+        self._asked_missing = self._asked_unknown = not isinstance(source, Network)
 
     def tell(self, report: Report) -> None:
-        now = time.monotonic()
-        if now - self._told < STATUS_S or not (self._terminal or self._listeners):
+        now = self._clock()
+        if now - self._told < STATUS_S:
             return
         self._told = now
+        if isinstance(self._source, Network) and now - self._began >= PATIENCE_S:
+            self._ask(self._source)
+        if not (self._terminal or self._listeners):
+            return
         text = status(report, self._source)
         for listener in self._listeners:
             listener.tell(text)
         if self._terminal:
-            sys.stderr.write(f"\r{text}\x1b[K")
+            sys.stderr.write(f"\r{_fitted(text)}\x1b[K")
             sys.stderr.flush()
+
+    def _ask(self, source: Network) -> None:
+        """Say what the wearer has to see to, once."""
+        if not self._asked_missing:
+            self._asked_missing = True  # what has come once can only fall silent
+            if source.missing:
+                self._complain(f"nothing came yet from {', '.join(source.missing)}")
+        if not self._asked_unknown and source.unknown:
+            self._asked_unknown = True
+            self._complain(f"refused: unknown devices ({_names(source.unknown)}); {_hint(source)}")
+
+    def _complain(self, sentence: str) -> None:
+        if self._terminal:
+            sys.stderr.write("\r\x1b[K")  # the line that is there
+        complain(sentence, "live")
+
+
+def _hint(source: Network) -> str:
+    """How an unknown device becomes one of ours."""
+    facts = source.facts()
+    if "places" in facts:
+        return f"with --devices they are named {', '.join(facts['devices'])}"
+    return "--map NAME=PLACE says where a device is worn, --sensors which places are used"
+
+
+def _fitted(text: str) -> str:
+    """As much of a line as the terminal is wide: a wrapped one could not be written over."""
+    try:
+        width = os.get_terminal_size(sys.stderr.fileno()).columns
+    except (OSError, ValueError):
+        return text
+    return text if len(text) < width or width < 4 else text[: width - 4] + "..."
+
+
+def _names(names: Sequence[str]) -> str:
+    """Unknown devices; where as many are named as are kept there may be others."""
+    first = "the first of them: " if len(names) == MOST_UNKNOWN else ""
+    return first + ", ".join(names)
 
 
 def status(report: Report, source: Source) -> str:
     """How it goes, in a line."""
-    if getattr(source, "waiting", False):
-        return "waiting for the pose"
+    if isinstance(source, Network) and source.waiting:
+        return _waiting(source)
     p50, p99 = (report.lag.quantile_ms(q, last=RECENT) for q in (0.5, 0.99))
     words = [f"{report.frames} poses"]
     if p50 is not None and p99 is not None:
@@ -66,6 +118,16 @@ def status(report: Report, source: Source) -> str:
     return ", ".join(words + ([f"{lost} packets lost"] if lost else []))
 
 
+def _waiting(source: Network) -> str:
+    """What the pose still wants: sensors that have come at all."""
+    words = ["waiting for the pose"]
+    if source.missing:
+        words.append(f"nothing yet from {', '.join(source.missing)}")
+    if source.unknown:
+        words.append(f"unknown devices ({_names(source.unknown)})")
+    return "; ".join(words)
+
+
 def summary(report: Report) -> None:
     """The answer for people."""
     if sys.stderr is not None and sys.stderr.isatty():
@@ -79,11 +141,12 @@ def summary(report: Report) -> None:
             [(name, *(str(d[c]) for c in columns)) for name, d in devices.items()],
         )
     for reason, count in facts.get("rejected", {}).items():
-        say(f"refused: {reason}: {count}")
+        named = facts["unknown_devices"] if reason == "device unknown" else []
+        say(f"refused: {reason}: {count}" + (f" ({_names(named)})" if named else ""))
     for text, count in report.notes.items():
         say(f"fallback: {text}: {count}")
     for name, done in report.sinks.items():
-        say(f"{name}: " + ", ".join(f"{k} {v}" for k, v in done.items()))
+        say(f"{name}: {_done(done)}")
     for words, latency in (("latency", report.lag), ("per sample", report.step)):
         p50, p99 = latency.quantile_ms(0.5), latency.quantile_ms(0.99)
         if p50 is not None and p99 is not None:
@@ -91,3 +154,10 @@ def summary(report: Report) -> None:
     if report.most_behind_s > BEHIND_S:
         say(f"fell {report.most_behind_s:.1f} s behind the source, at most")
     say(f"{report.frames} poses of {report.samples} samples")
+
+
+def _done(done: Mapping[str, object]) -> str:
+    """What a sink did; a motion file that no pose reached is not there."""
+    if done.get("frames") == 0:
+        return "nothing written"
+    return ", ".join(f"{k} {v}" for k, v in done.items())

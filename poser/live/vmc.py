@@ -13,17 +13,15 @@ hips carry where the body is. SMPL's hand joints have no bone there: the wrists'
 from __future__ import annotations
 
 import socket
-from typing import Any
 
 import numpy as np
 
 from mocap import orientation as ori
-from mocap.errors import PoserError
 from mocap.estimator import Pose
 from mocap.orientation import Array
 from mocap.skeleton import JOINTS, Skeleton
 from poser.live import osc
-from poser.live.addresses import Address
+from poser.live.addresses import Address, resolved
 
 _SIDED = {"hip": "UpperLeg", "knee": "LowerLeg", "ankle": "Foot", "foot": "Toes", "collar": "Shoulder",
           "shoulder": "UpperArm", "elbow": "LowerArm", "wrist": "Hand"}  # fmt: skip
@@ -75,17 +73,6 @@ def datagrams(pose: Pose, skeleton: Skeleton) -> list[bytes]:
     return bundles
 
 
-def _resolved(address: Address, name: str) -> tuple[int, Any]:
-    """Family and socket address of a host, IPv4 where it has one. Raises PoserError naming `name`."""
-    try:
-        found = socket.getaddrinfo(address.host, address.port, type=socket.SOCK_DGRAM)
-    # UnicodeError: a name with an empty or too long part.
-    except (OSError, UnicodeError) as e:
-        raise PoserError(f"{name}: the host is unknown") from e
-    family, _, _, _, to = min(found, key=lambda entry: entry[0] != socket.AF_INET)
-    return family, to
-
-
 class VmcSink:
     """Sends every pose to an address. failures: datagrams that the system refused to send.
 
@@ -97,7 +84,7 @@ class VmcSink:
         self.name = f"vmc:{address}"
         self._skeleton = skeleton
         # Once: a look-up of a name may take as long as many frames.
-        family, self._to = _resolved(address, self.name)
+        family, self._to = resolved(address, self.name, socket.SOCK_DGRAM)
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         self.sent = self.failures = 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from typing import Any
 
@@ -9,10 +10,16 @@ import numpy as np
 
 from mocap.estimator import Pose
 from mocap.skeleton import Skeleton
-from poser.live.addresses import LOCALHOST
+from poser.live.addresses import LOCALHOST, Address
 from poser.viewer import stage
 
 RATE_HZ = 30.0
+
+
+def plain(text: str) -> str:
+    """A line without what Markdown or HTML could mean: devices of strangers are named in it, and such a name
+    must not make the page load or run anything."""
+    return re.sub(r"[^\w .,:;()%@+-]", "?", text)
 
 
 class ViewerSink:
@@ -22,7 +29,7 @@ class ViewerSink:
         self.name = "viewer"
         self._skeleton = skeleton
         self._server = stage.server(host, port)
-        self.url = f"http://{host}:{self._server.get_port()}"
+        self.url = f"http://{Address(host, self._server.get_port())}"
         self._figure = stage.Figure(self._server, 0, "live", skeleton, np.zeros(3))
         stage.floor(self._server)
         stage.look_from(self._server, np.array([0.0, 0.95, 0.0]), 0.0)
@@ -42,7 +49,7 @@ class ViewerSink:
 
     def tell(self, text: str) -> None:
         """A line in the page: how it goes."""
-        self._text.content = text
+        self._text.content = plain(text)
 
     def close(self) -> dict[str, Any]:
         stage.stop(self._server)

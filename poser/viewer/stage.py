@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import io
+import os
+import socket
 from typing import Any
 
 import numpy as np
@@ -12,6 +15,7 @@ from mocap import orientation as ori
 from mocap.errors import PoserError
 from mocap.orientation import Array
 from mocap.skeleton import Skeleton
+from poser.live.addresses import LAST_PORT, Address, resolved
 from poser.viewer.skins import skin
 
 COLOURS = (
@@ -24,26 +28,54 @@ COLOURS = (
 )
 AXES_M = 0.14
 CAMERA_M = 2.7  # from a single body
+PORTS = 100  # tried from the one that was asked for
 LABEL_ABOVE_M = 0.28  # over the head joint
 
 
 def server(host: str, port: int) -> Any:
-    """A viser server; raises PoserError where the package is absent or the address is taken."""
+    """A viser server on `port`, or the next free one; on any free one for 0.
+
+    Raises PoserError where the package is absent, or nothing can be bound there.
+    """
     try:
         import viser
     except ImportError as e:
         raise PoserError(
             "the viewer needs the package 'viser': pip install 'poser-imu[live]'"
         ) from e
-    try:
-        with _mute():
-            made = viser.ViserServer(host=host, port=port, label="poser", verbose=False)
-    except OSError as e:
-        raise PoserError(f"cannot serve on {host}:{port}: {e.strerror or e}") from e
+    numeric, free = _free(host, port)
+    with _mute():
+        made = viser.ViserServer(host=numeric, port=free, label="poser", verbose=False)
     # Its share button would send the scene to a relay on the internet.
     made.gui.configure_theme(show_logo=False, show_share_button=False)
     made.scene.set_up_direction("+y")
     return made
+
+
+def _free(host: str, port: int) -> tuple[str, int]:
+    """A host as a number and a port that can be bound, from `port` on. Raises PoserError.
+
+    viser binds in a thread of its own, and waits for ever where that fails.
+    """
+    address = Address(host, port)
+    name = f"cannot serve on {address}"
+    family, to = resolved(address, name, socket.SOCK_STREAM)
+    last = min(port + PORTS - 1, LAST_PORT)
+    for tried in range(port, last + 1):
+        try:
+            # As the server will bind: a port that was left a moment ago is free.
+            with socket.create_server((to[0], tried, *to[2:]), family=family) as bound:
+                return to[0], bound.getsockname()[1]
+        except OSError as e:
+            if e.errno != errno.EADDRINUSE:
+                raise PoserError(f"{name}: {_reason(e)}") from e
+    raise PoserError(f"{name}: it is taken, and so are all ports up to {last}")
+
+
+def _reason(e: OSError) -> str:
+    if e.errno == errno.EADDRNOTAVAIL:
+        return "this machine does not have that address"
+    return os.strerror(e.errno) if e.errno else str(e)
 
 
 def stop(made: Any) -> None:

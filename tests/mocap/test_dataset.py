@@ -30,7 +30,7 @@ def test_every_tenth_bandai_clip_validates() -> None:
 
 def test_files_of_a_split(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("POSER_CACHE", str(tmp_path))
-    with pytest.raises(PoserError, match="unpack the cmu archive"):
+    with pytest.raises(PoserError, match="unpack the Daz-friendly BVH conversion of CMU"):
         dataset.files("test", ("cmu",))
     folder = tmp_path / "cmu-daz-bvh"
     folder.mkdir()

@@ -292,6 +292,39 @@ def test_a_folder_of_which_nothing_comes_does_not_stay(
     assert out.is_dir()  # was there before
 
 
+def test_synthesize_searches_folders(
+    folder: Path, tmp_path: Path, refusal: Refusal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    deep, empty = tmp_path / "mots" / "deep", tmp_path / "empty"
+    deep.mkdir(parents=True)
+    empty.mkdir()
+    (deep / "walk.npz").write_bytes((folder / "walk.npz").read_bytes())
+    assert main(["convert", str(folder / "walk.npz"), str(tmp_path / "mots" / "other.bvh")]) == 0
+    (deep / "rec.npz").write_bytes((folder / "rec" / "walk.npz").read_bytes())
+    monkeypatch.chdir(tmp_path / "mots")
+    for given, out in ((".", tmp_path / "v2"), (tmp_path / "mots", tmp_path / "v3")):
+        assert main(["synthesize", str(given), "-o", str(out)]) == 0
+        assert {p.name for p in out.iterdir()} == {"walk.npz", "other.npz"}
+    status, said = refusal("synthesize", empty, "-o", tmp_path / "v4")
+    assert status == 1 and f"no motion file in {empty}" in said
+    assert not (tmp_path / "v4").exists()
+
+
+@pytest.mark.parametrize(
+    ("command", "option", "words"),
+    [
+        ("solve", "--start", "--start takes prior, dip, imuposer or a motion file"),
+        ("compare", "--reference", "--reference takes sip-all or a motion file"),
+    ],
+)
+def test_the_words_that_are_taken_beside_files_are_told(
+    command: str, option: str, words: str, folder: Path, tmp_path: Path, refusal: Refusal
+) -> None:
+    line = (folder / "rec" / "walk.npz", "-o", tmp_path / "o.npz", option, "bogus")
+    status, said = refusal(command, *line)
+    assert status == 1 and f"poser {command}: bogus: no such file; {words}" in said
+
+
 def test_synthesize_static_seconds_of_no_pose(
     folder: Path, tmp_path: Path, refusal: Refusal
 ) -> None:
@@ -451,7 +484,6 @@ def test_solve_wants_a_calibrated_recording(folder: Path, tmp_path: Path, refusa
     [
         ("info", "FOLDER"),
         ("track", "FOLDER", "--method", "dip", "-o", "OUT"),
-        ("synthesize", "FOLDER", "-o", "OUT"),
         ("evaluate", "walk.npz", "FOLDER"),
         ("evaluate", "walk.npz", "walk.npz", "--smpl", "FOLDER"),
         ("info", "walk.npz", "--smpl", "FOLDER"),

@@ -287,3 +287,83 @@ def test_player_holds_the_joints_to_the_millimetre() -> None:
     p = p - p[:, :1] * [1, 0, 1]  # over the middle of the floor
     np.testing.assert_allclose(raw / 1000, p, atol=6e-4)
     assert max(track["error_cm"]) == 0
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """own.safetensors and twin.safetensors of DIP, phone.safetensors of IMUPoser: tiny, untrained."""
+    import torch
+
+    from learned import checkpoint
+    from learned.models import build, for_network
+
+    where = tmp_path_factory.mktemp("weights")
+    for name, network in (("own", "dip"), ("twin", "dip"), ("phone", "imuposer")):
+        torch.manual_seed(0)
+        about = {"revision": "abc1234"} if name == "own" else {}
+        model = build(for_network(network, hidden=8))
+        checkpoint.save(model, where / f"{name}.safetensors", about)
+    return where
+
+
+def test_weights_of_the_user_are_run_and_named(
+    recordings: Path, weights: Path, tmp_path: Path
+) -> None:
+    rec, out = str(recordings / "walk.npz"), tmp_path / "out"
+    own = [str(weights / f"{n}.safetensors") for n in ("phone", "own")]
+    words = ["compare", rec, "-o", str(out), "--methods", "dip,imuposer,hybrid-dip"]
+    assert main([*words, "--weights", *own]) == 0
+    record = json.loads((out / "results.json").read_text())
+    assert record["schema"] == "poser-compare/1"
+    assert record["weights"] == {
+        "dip": {"name": "own.safetensors", "revision": "abc1234"},
+        "imuposer": {"name": "phone.safetensors"},
+    }
+    assert "own.safetensors (dip)" in (out / "report.html").read_text()
+    tracked = tmp_path / "tracked.npz"
+    for method, file in (("dip", own[1]), ("imuposer", own[0])):
+        line = ["track", rec, "-o", str(tracked), "--method", method, "--weights", file]
+        assert main(line) == 0
+        a, b = (formats.read(p).content for p in (tracked, out / f"{method}.npz"))
+        np.testing.assert_allclose(a.R_parent_joint, b.R_parent_joint, atol=1e-6)
+
+
+def test_the_shipped_weights_are_named_where_a_network_ran(
+    compared: Path, recordings: Path, tmp_path: Path
+) -> None:
+    assert json.loads((compared / "results.json").read_text())["weights"] == {}
+    words = ["compare", str(recordings / "walk.npz"), "-o", str(tmp_path), "--methods", "sop,dip"]
+    assert main([*words, "--solver", "banded"]) == 0
+    named = json.loads((tmp_path / "results.json").read_text())["weights"]
+    assert list(named) == ["dip"] and named["dip"]["name"] == "dip.safetensors"
+
+
+def test_weights_that_serve_no_method_are_refused(
+    recordings: Path, weights: Path, tmp_path: Path, refusal: Callable[..., Any]
+) -> None:
+    own, twin, phone = (weights / f"{n}.safetensors" for n in ("own", "twin", "phone"))
+    lone = tmp_path / "lone.safetensors"
+    lone.write_bytes(own.read_bytes())
+    line = ("compare", recordings / "walk.npz", "-o", tmp_path / "out", "--methods", "dip")
+    for given, said in (
+        ((own, twin), "are both weights of dip"),
+        ((phone,), "weights of imuposer, which none of the methods dip runs"),
+        (
+            (tmp_path / "no.safetensors",),
+            "poser compare: " + str(tmp_path / "no.safetensors: no such"),
+        ),
+        ((lone,), "its description lone.json is not beside it"),
+    ):
+        status, sentence = refusal(*line, "--weights", *given)
+        assert status == 1 and said in sentence
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_device_that_is_named_is_served_by_another_on_its_bone(
+    recordings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["compare", str(recordings / "walk.npz"), "-o", str(tmp_path), "--methods", "imuposer"]
+    assert main([*words, "--devices", "left_wrist"]) == 0
+    assert "left_forearm stands in for left_wrist" in capsys.readouterr().err
+    record = json.loads((tmp_path / "results.json").read_text())["recordings"][0]
+    assert record["methods"]["imuposer"]["used_sensors"] == ["left_forearm"]

@@ -173,6 +173,20 @@ def test_the_default_sensors_from_the_network(
         (("--source", "{rec}", "--sink", "vmc:port"), 2, "is not PORT"),
         (("--source", "{rec}", "--sensors", "five"), 1, "not in the recording"),
         (
+            ("--source", "{rec}", "--sink", "viewer", "--port", "99999"),
+            2,
+            "'99999' is not a port from",
+        ),
+        (("--source", "{rec}", "--sink", "viewer", "--port", "-1"), 2, "--port"),
+        (("--source", "udp:é..b:9000", "--calibration", "bones"), 1, "the host is unknown"),
+        (("--source", "upd:9000", "--rate", "30"), 1, "upd:9000: no such file"),
+        (
+            ("--source", "{rec}", "--weights", "absent.safetensors"),
+            1,
+            "absent.safetensors: no such file",
+        ),
+        (("--source", "{rec}", "--weights", "w.npz"), 2, "is no .safetensors file"),
+        (
             ("--source", "udp:9000", "--method", "imuposer", "--sensors", "five"),
             1,
             "choose with --sensors",
@@ -193,6 +207,77 @@ def test_refusals(live: Path, refusal: Any, words: tuple[str, ...], status: int,
     got, sentence = refusal("live", *(w.replace("{rec}", str(live)) for w in words))
     assert got == status
     assert said in sentence
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [
+        ("--rate", "60"),
+        ("--calibration", "n"),
+        ("--facing", "0"),
+        ("--up", "y"),
+        ("--countdown", "5"),
+        ("--buffer", "0.05"),
+        ("--map", "a=head"),
+        ("--devices", "left,right,left"),
+    ],
+)
+def test_what_a_recording_has_no_use_for_is_refused(
+    live: Path, refusal: Any, option: str, value: str
+) -> None:
+    """Defaults, too, where they are given."""
+    got, sentence = refusal("live", "--source", live, option, value)
+    assert got == 2
+    assert f"argument {option}: for sensors from the network, not for a recording" in sentence
+
+
+def test_without_a_sink_a_note_says_so(
+    live: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["live", "--source", str(live), "--speed", "max"]
+    assert main(words) == 0
+    assert (
+        capsys.readouterr().err.count("note: without --sink poses go nowhere; it takes FILE") == 1
+    )
+    for more in (["--json"], ["--sink", str(tmp_path / "m.npz")]):
+        assert main([*words, *more]) == 0
+        assert "--sink" not in capsys.readouterr().err
+
+
+def test_a_file_that_was_not_written_is_not_told_as_one(
+    free_port: int,
+    estimators: Any,  # noqa: F811
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    out = tmp_path / "u3.npz"
+    source = ("--source", f"udp:{free_port}", "--calibration", "bones", "--seconds", "0.01")
+    assert main(["live", *source, "--sink", str(out)]) == 0
+    assert f"{out}: nothing written\n" in capsys.readouterr().out
+    assert not out.exists()
+
+
+def test_weights_of_your_own(
+    live: Path, tmp_path: Path, refusal: Any, answer: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shipped = Path(the_estimators.__file__).parents[1] / "learned" / "weights"
+    words = ("live", "--source", live, "--speed", "max", "--seconds", 1, "--weights")
+    seen: dict[str, Any] = {}
+    make = the_estimators.make
+
+    def noted(*args: Any, **more: Any) -> Any:
+        seen.update(more)
+        return make(*args, **more)
+
+    monkeypatch.setattr(the_estimators, "make", noted)
+    answer(*words, shipped / "dip.safetensors")
+    assert seen["weights"] == shipped / "dip.safetensors"
+    got, sentence = refusal(*words, shipped / "imuposer.safetensors")
+    assert got == 1 and "weights of imuposer, expected dip" in sentence
+    lone = tmp_path / "lone.safetensors"
+    lone.write_bytes((shipped / "dip.safetensors").read_bytes())
+    got, sentence = refusal(*words, lone)
+    assert got == 1 and "its description lone.json is not beside it" in sentence
 
 
 def test_calibration_comes_from_what_poser_calibrate_wrote(live: Path, refusal: Any) -> None:

@@ -183,6 +183,58 @@ def test_devices_worn_together_are_chosen_from_as_ever(
     assert "not on both pockets and the head together" in why
 
 
+@pytest.mark.parametrize(
+    ("name", "spec", "names"),
+    [
+        ("six", "five", ("left_forearm", "right_forearm", "head")),
+        ("suit", "left_wrist", ("left_forearm",)),
+        ("suit", "right_pocket,left_wrist,left_forearm", ("left_forearm", "right_thigh")),
+    ],
+)
+def test_a_named_place_is_served_by_another_sensor_on_its_bone(
+    name: str, spec: str, names: tuple[str, ...], place: Path, tmp_path: Path,
+    answer: Callable[..., Any], capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    words = ("--method", "imuposer", "--weights", place / "imuposer.safetensors", "--sensors", spec)
+    out = tmp_path / "out.npz"
+    line = ["track", str(place / f"{name}.npz"), "-o", str(out), *map(str, words)]
+    assert answer(*line)["used_sensors"] == list(names)
+    assert main(line) == 0
+    said = capsys.readouterr().err
+    assert said.count("left_forearm stands in for left_wrist, which is on the same bone") == 1
+    # To other commands, which read seats as well, a name is a name.
+    assert main(["solve", str(place / f"{name}.npz"), "-o", str(out), "--sensors", spec]) == 1
+
+
+def test_a_place_that_the_network_does_not_need_is_told_too(
+    place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """DIP reads the forearm; the user named the wrist."""
+    spec = ",".join(("left_wrist", *sensors.SIX[1:]))
+    words = ["--method", "dip", "--weights", str(place / "dip.safetensors"), "--sensors", spec]
+    assert main(["track", str(place / "six.npz"), "-o", str(tmp_path / "o.npz"), *words]) == 0
+    assert "left_forearm stands in for left_wrist" in capsys.readouterr().err
+
+
+def test_only_sets_that_are_there_are_recommended(
+    place: Path, tmp_path: Path, refusal: Callable[..., Any]
+) -> None:
+    for name, words, sets in (
+        (
+            "six",
+            ("track", "--method", "imuposer", "--sensors", "left_foot"),
+            "(or the sets six, all)",
+        ),
+        ("five", ("track", "--method", "imuposer", "--sensors", "six"), "(or the sets five, all)"),
+        ("suit", ("track", "--method", "dip", "--sensors", "foo"), "(or the sets six, five, all)"),
+        ("suit", ("solve", "--sensors", "five"), "(or the sets six, all)"),
+        ("five", ("solve", "--sensors", "left_wrist,pelvis"), "(or the sets five, all)"),
+    ):
+        command, *more = words
+        status, said = refusal(command, place / f"{name}.npz", "-o", tmp_path / "o.npz", *more)
+        assert status == 1 and "not in the recording; there is: " in said and sets in said
+
+
 REFUSED = [
     (("five", "--method", "dip"), 1, "no left_shank, right_shank, pelvis"),
     (("five", "--method", "imuposer", "--sensors", "five"), 1, "choose with --sensors"),
@@ -193,7 +245,7 @@ REFUSED = [
     (("six", "--method", "dip", "--window", "20"), 2, "PAST,FUTURE"),
     (("six", "--method", "guess"), 2, "invalid choice"),
     (("six", "--method", "dip", "--from", "soon"), 2, "not a number"),
-    (("six", "--method", "dip", "--weights", "none.safetensors"), 1, "none.safetensors"),
+    (("six", "--method", "dip", "--weights", "none.safetensors"), 1, "track: none.safetensors: no such file"),
     (("six", "--method", "dip", "--weights", "fake.npz"), 2, "weights are NAME.safetensors with NAME.json"),
 ]  # fmt: skip
 
@@ -239,7 +291,7 @@ def test_weights_of_the_other_network_are_refused(
     weights = place / "imuposer.safetensors"
     words = ("--method", "dip", "--weights", weights)
     code, said = refusal("track", place / "six.npz", "-o", tmp_path / "o.npz", *words)
-    assert code == 1 and "weights of imuposer" in said
+    assert code == 1 and f"poser track: {weights}: weights of imuposer, expected dip" in said
 
 
 def test_weights_without_their_description_are_named(

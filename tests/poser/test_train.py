@@ -213,8 +213,9 @@ def test_options_reach_the_settings(clips: Path, tmp_path: Path, answer: Answer)
     found = answer(
         "train", "dip", clips, "-o", tmp_path / "r", *SMALL, "--steps", "2", "--architecture", "rnn",
         "--normalisation", "heading", "--no-acc", "--no-acc-loss", "--rate", "0.01", "--seed", "3",
-        "--share", "0.5", "--cooldown", "0.25",
+        "--share", "0.5", "--cooldown", "0.25", "--no-splice",
     )["settings"]  # fmt: skip
+    assert found["augmentation"]["splice"] == 0 and found["augmentation"]["mirror"] > 0
     config = found["config"]
     assert (config["architecture"], config["normalisation"]) == ("rnn", "heading")
     assert found["cooldown"] == 0.25
@@ -331,7 +332,23 @@ def test_a_run_with_other_settings_or_motions_is_left_alone(
     words = ["train", "dip", clips, "-o", tmp_path / "r", *SMALL, "--steps", "2"]
     answer(*words)
     state = (tmp_path / "r" / "state.pt").read_bytes()
-    assert "other settings" in refusal(*words, "--seed", "1")[1]
+    said = refusal(*words, "--seed", "1")[1]
+    assert (
+        "r: holds a run with other settings (--seed 0 there, 1 here); give another folder" in said
+    )
+    other = ("--batch", "3", "--frames", "13", "--rate", "0.5", "--every", "3", "--seed", "1")
+    said = refusal(*words, *other)[1]
+    assert (
+        "(--batch 2 there, 3 here; --frames 12 there, 13 here; --rate 0.001 there, 0.5 here; and 2 more)"
+        in said
+    )
+    said = refusal("train", "imuposer", clips, "-o", tmp_path / "r", *SMALL, "--steps", "2")[1]
+    assert "(network dip there, imuposer here)" in said
+    more = refusal(*(w for w in words if w != "--no-dropout"), "--no-acc")[1]
+    assert (
+        "use_acc (--no-acc) True there, False here; dropout (--no-dropout) 0 there, 0.2 here"
+        in more
+    )
     assert "other motions" in refusal(*words, "--share", "0.5")[1]
     # The same motion trains, another one validates.
     clip = [clips / f"subject{k}" / "deep" / f"clip{k}.npz" for k in range(3)]
@@ -367,7 +384,8 @@ def test_a_run_with_other_settings_or_motions_is_left_alone(
         (["dip", "CLIPS/subject0/deep/clip0.npz"], 1, "one motion cannot both train and validate"),
         (["dip", "CLIPS", "--validation", "CLIPS"], 2, "would both train and validate"),
         (["dip", "CLIPS/subject0/deep/clip0.npz", "CLIPS/subject0/shape.npz"], 1, "do not fit"),
-        (["dip", "CLIPS", "CLIPS/none.npz"], 1, "none.npz: No such file"),
+        (["dip", "CLIPS", "CLIPS/none.npz"], 1, "none.npz: no such file\n"),
+        (["dip", "CLIPS", "CLIPS-none"], 1, "-none: no such file\n"),
         (["dip", "--validation", "CLIPS"], 2, "needs MOTION"),
         (["lstm", "CLIPS"], 2, "invalid choice"),
     ],
@@ -378,6 +396,19 @@ def test_nonsense_is_refused(
     given = [w.replace("CLIPS", str(clips)) for w in words]
     found, sentence = refusal("train", *given, "-o", tmp_path / "r")
     assert (found, said in sentence) == (status, True), sentence
+
+
+def test_motions_may_stand_behind_options(
+    clips: Path, tmp_path: Path, answer: Answer, refusal: Refusal
+) -> None:
+    clip = [clips / f"subject{k}" / "deep" / f"clip{k}.npz" for k in range(3)]
+    out = ("-o", tmp_path / "r", *SMALL, "--steps", "2")
+    assert answer("train", "dip", *out, clips, "--device", "cpu")["data"]["clips"] == 2
+    assert answer("train", "dip", clip[0], *out[2:], clip[1], "-o", tmp_path / "s")["step"] == 2
+    assert "required: network (see" in refusal("train", *out)[1]
+    assert "required: network, -o/--output (see" in refusal("train")[1]
+    said = refusal("train", "dip", *out, clips, "--bach", "3")[1]
+    assert "unrecognized arguments: " in said and "--bach 3" in said
 
 
 def test_no_cuda_is_said(

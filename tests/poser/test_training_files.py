@@ -66,12 +66,12 @@ def test_the_same_motion_on_both_sides_is_refused(many: Path) -> None:
 
 
 def test_an_absent_file_and_an_empty_folder(tmp_path: Path) -> None:
-    with pytest.raises(PoserError, match=r"absent\.npz: No such file"):
+    with pytest.raises(PoserError, match=r"absent\.npz: no such file"):
         training_files.recordings([tmp_path / "absent.npz"])
     with pytest.raises(PoserError, match=f"no motion file in {tmp_path}"):
         training_files.motions([tmp_path])
     (tmp_path / "broken.npz").symlink_to(tmp_path / "nowhere")
-    with pytest.raises(PoserError, match=r"broken\.npz: No such file"):
+    with pytest.raises(PoserError, match=r"broken\.npz: no such file"):
         training_files.recordings([tmp_path])
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +23,7 @@ from poser import motions
 from poser.__main__ import main
 from poser.staging import floors_of
 from poser.viewer import stage, tracks
+from poser.viewer.live import plain
 from poser.viewer.player import Player
 from poser.viewer.skins import capsule, skin
 
@@ -192,6 +194,49 @@ def test_what_cannot_be_viewed(folder: Path, refusal: Any, monkeypatch: pytest.M
     status, sentence = refusal("view", folder / "walk.npz", "--no-browser")
     assert status == 1
     assert "pip install 'poser-imu[live]'" in sentence
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "said"),
+    [
+        (("--port", "99999"), 2, "argument --port: '99999' is not a port from 1 to 65535"),
+        (("--port", "-1"), 2, "argument --port"),
+        (("--port", "9" * 5000), 2, "is not a port"),
+        (("--host", "192.0.2.1"), 1, "cannot serve on 192.0.2.1:8080: this machine does not have"),
+        (("--host", "a..b"), 1, "a..b:8080: the host is unknown"),
+    ],
+)
+def test_where_nothing_can_be_served(
+    folder: Path, refusal: Any, words: tuple[str, ...], status: int, said: str
+) -> None:
+    """A sentence; viser alone would wait for ever in each of these."""
+    got, sentence = refusal("view", folder / "walk.npz", "--no-browser", *words)
+    assert got == status
+    assert said in sentence
+
+
+def test_a_taken_port_gives_the_next_free_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        host, free = stage._free("127.0.0.1", port)
+        assert host == "127.0.0.1" and port < free < port + stage.PORTS
+        monkeypatch.setattr(stage, "PORTS", 1)
+        with pytest.raises(PoserError, match=f"{port}: it is taken, and so are all .* {port}$"):
+            stage._free("127.0.0.1", port)
+    assert stage._free("localhost", 0)[1] > 0
+
+
+def test_a_line_of_strangers_is_no_markup() -> None:
+    """The page would load a picture, follow a link, run what stands in braces."""
+    assert (
+        plain("unknown devices (![](//evil.example/x))")
+        == "unknown devices (???(??evil.example?x))"
+    )
+    assert not set("<>{}[]!`*\\/&") & set(plain("<img src=x> {alert(1)} `a` *b* \\ &lt;"))
+    assert (
+        plain("180 poses, latency 12.3 ms (99 %: 15.0)")
+        == "180 poses, latency 12.3 ms (99 %: 15.0)"
+    )
 
 
 def test_ctrl_c_ends_the_viewer(

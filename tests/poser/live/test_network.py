@@ -157,3 +157,87 @@ def test_a_loop_that_stands_still_is_behind_by_so_much() -> None:
     late = source.poll()
     assert source.behind_s(late[0].time_s) == pytest.approx(0.6, abs=0.02)
     assert source.behind_s(late[-1].time_s) == pytest.approx(0.0, abs=0.02)
+
+
+def listening(packets: list[tuple[float, Packet]], tracker: Tracker | None = None) -> Network:
+    """A network source that waits for the N-pose of six sensors, or for tracked devices."""
+    script = Script(packets)
+    devices = sensors.SIX if tracker is None else ("watch", "phone", "earbuds")
+    watch = PoseWatch(sensors.SIX, RATE, "n") if tracker is None else None
+    return Network(
+        script, Assembler(devices, RATE), sensors.SIX, {n: n for n in devices}, watch=watch,  # type: ignore[arg-type]
+        tracker=tracker, clock=lambda: script.now,
+    )  # fmt: skip
+
+
+def sent(names: list[str], seconds: float = 8.0) -> list[tuple[float, Packet]]:
+    return [
+        (k / RATE, Packet(name, k / RATE, np.eye(3), np.zeros(3), k))
+        for k in range(round(seconds * RATE))
+        for name in names
+    ]
+
+
+def told(source: Network, seconds: float, capsys: pytest.CaptureFixture[str]) -> list[str]:
+    """The lines on stderr, which is no terminal."""
+    teller, report = telling.Teller(source, [], source._clock), Report()
+    source.open()
+    while source._clock() < seconds:
+        source.poll()
+        teller.tell(report)
+    return capsys.readouterr().err.splitlines()
+
+
+def test_what_the_pose_waits_for_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    """One of six speaks, and a stranger: in the line, and once each where there is no terminal."""
+    source = listening(sent(["head", "imu-7"]))
+    assert told(source, telling.PATIENCE_S - 0.1, capsys) == []
+    rest = ", ".join(n for n in sensors.SIX if n != "head")
+    assert telling.status(Report(), source) == (
+        f"waiting for the pose; nothing yet from {rest}; unknown devices (imu-7)"
+    )
+    assert told(source, telling.PATIENCE_S + 7.0, capsys) == [
+        f"live: nothing came yet from {rest}",
+        "live: refused: unknown devices (imu-7); --map NAME=PLACE says where a device is worn, "
+        "--sensors which places are used",
+    ]
+
+
+def test_nothing_is_asked_of_who_sends_all(capsys: pytest.CaptureFixture[str]) -> None:
+    source = listening(sent(list(sensors.SIX), seconds=6.0))
+    assert told(source, 6.0, capsys) == []
+    assert telling.status(Report(), source) == "waiting for the pose"
+
+
+def test_tracked_devices_come_and_go(capsys: pytest.CaptureFixture[str]) -> None:
+    """A watch alone is no fault; a device under another name is told the three that there are."""
+    tracker = Tracker(Preferences("right", "left", "left"), RATE)
+    source = listening(sent(["watch", "pixel"]), tracker)
+    assert told(source, 8.0, capsys) == [
+        "live: refused: unknown devices (pixel); with --devices they are named watch, phone, earbuds"
+    ]
+    tracker = Tracker(Preferences("right", "left", "left"), RATE)
+    assert told(listening([], tracker), 8.0, capsys) == [
+        "live: nothing came yet from watch, phone, earbuds"
+    ]
+
+
+def test_names_of_strangers_are_bounded(capsys: pytest.CaptureFixture[str]) -> None:
+    """A thousand names, three are kept; the answer at the end has them, too."""
+    source = listening(sent([f"x{k}" for k in range(1000)], seconds=0.1))
+    samples_of(source._receiver, source, 0.5)  # type: ignore[arg-type]
+    facts = source.facts()
+    assert facts["unknown_devices"] == ["x0", "x1", "x2"]
+    assert facts["rejected"] == {"device unknown": 6000}
+    telling.summary(Report(source=facts))
+    said = capsys.readouterr().out
+    assert "refused: device unknown: 6000 (the first of them: x0, x1, x2)\n" in said
+
+
+def test_the_line_fits_the_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that wraps could not be written over, and would fill the screen line by line."""
+    size = telling.os.terminal_size((40, 24))
+    monkeypatch.setattr(telling.os, "get_terminal_size", lambda _: size)
+    monkeypatch.setattr(telling.sys.stderr, "fileno", lambda: 2, raising=False)
+    assert telling._fitted("x" * 39) == "x" * 39
+    assert telling._fitted("x" * 40) == "x" * 36 + "..."

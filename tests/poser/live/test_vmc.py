@@ -13,7 +13,7 @@ from mocap.errors import PoserError
 from mocap.estimator import Pose
 from mocap.skeleton import JOINTS, Skeleton
 from poser import motions
-from poser.live import vmc
+from poser.live import addresses, vmc
 from poser.live.addresses import Address
 
 BODY = Skeleton.default(1.8)
@@ -132,7 +132,8 @@ def test_a_host_of_ipv6_alone(pose: Pose, monkeypatch: pytest.MonkeyPatch) -> No
     kinds = (socket.SOCK_DGRAM, socket.IPPROTO_UDP, "")
     entry = (socket.AF_INET6, *kinds, ("::1", 39539, 0, 0))
     monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: [entry])
-    assert vmc._resolved(Address("six.invalid", 39539), "vmc") == (socket.AF_INET6, entry[4])
+    found = addresses.resolved(Address("six.invalid", 39539), "vmc", socket.SOCK_DGRAM)
+    assert found == (socket.AF_INET6, entry[4])
 
 
 @pytest.mark.parametrize(
