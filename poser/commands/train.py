@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from mocap.errors import PoserError
 from poser import files, licences, options, training, training_files
-from poser.console import UsageError, note, part, progress, say
+from poser.console import UsageError, note, part, progress
 
 if TYPE_CHECKING:
     from learned.corpus import Corpus
@@ -111,8 +111,8 @@ def run(args: Namespace) -> int:
         corpus, config.sensors, config.rate_hz, settings.frames, settings.augmentation, world.device
     )
     del corpus  # as much memory as the windows' splines; nothing else reads it
-    if world.first and not args.json:
-        say(
+    if world.first and not args.json:  # reading is over, and the first step may be half a minute away
+        note(
             f"{args.output}: {about['clips']} clips, {about['minutes']:g} min to train on, "
             f"{about['validation_clips']} to validate on"
         )
