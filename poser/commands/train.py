@@ -111,9 +111,8 @@ def run(args: Namespace) -> int:
         corpus, config.sensors, config.rate_hz, settings.frames, settings.augmentation, world.device
     )
     del corpus  # as much memory as the windows' splines; nothing else reads it
-    if (
-        world.first and not args.json
-    ):  # reading is over, and the first step may be half a minute away
+    # Reading is over, and the first step may be half a minute away.
+    if world.first and not args.json:
         note(
             f"{args.output}: {about['clips']} clips, {about['minutes']:g} min to train on, "
             f"{about['validation_clips']} to validate on"
