@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from mocap.recording import Recording
 
 ON_TIME = 1e-3  # of a frame: rounding of times
+ROUNDED = 1e-3  # of a rate, as `Frame Time: 0.01667` does
 APART_DEG = 45.0  # median angle between bones and sensors of which a motion may be another's
 
 
@@ -28,6 +29,9 @@ def with_reference(path: Path, recording: Recording, source: Path, motion: Motio
     from mocap.formats import native
 
     if not native.states_start(source):
+        if len(motion) == len(recording) and abs(motion.rate_hz / recording.rate_hz - 1) < ROUNDED:
+            # The same frames: other systems' files round the time of a frame, which adds up.
+            motion = replace(motion, rate_hz=recording.rate_hz)
         same_time(
             path, recording, motion, f"{source} does not state its time, so both must last as long"
         )

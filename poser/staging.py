@@ -36,10 +36,12 @@ def floor_of(motion: Motion, frame: int = 0) -> float:
 def floors_of(motion: Motion) -> Array:
     """(T,) m: the height of the floor under the body at each frame, where it may drift or climb.
 
-    The lower foot's height without the bumps that are shorter than `STRIDE_S` (a grey opening), smoothed: a
-    jump leaves the floor where it is, a steady climb takes it along.
+    The height of the lower sole, or of a joint below it, without the bumps that are shorter than `STRIDE_S`
+    (a grey opening), smoothed: a jump leaves the floor where it is, a steady climb takes it along.
     """
-    feet = motion.p_world_joint[:, list(TOES), 1].min(axis=1) - motion.skeleton.sole
+    p = motion.p_world_joint[..., 1]
+    # Upside down or on the back another joint is the lowest.
+    feet = np.minimum(p[:, list(TOES)].min(axis=1) - motion.skeleton.sole, p.min(axis=1))
     frames = max(1, round(STRIDE_S * motion.rate_hz))
     more = min(2 * frames, len(feet) - 1)  # beyond its ends a climb goes on
     long = np.pad(feet, more, mode="reflect", reflect_type="odd")

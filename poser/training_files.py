@@ -135,9 +135,11 @@ def check_apart(train: Sequence[Path], validation: Sequence[Path]) -> None:
 
 def _is_motion(path: Path) -> bool:
     from mocap import formats
+    from mocap.formats import native
 
     try:
-        return formats.detect(path).name in MOTION_FORMATS
+        name = formats.detect(path).name
+        return name in MOTION_FORMATS or (name == native.FORMAT.name and native.is_motion(path))
     except (PoserError, OSError):  # an OSError: it may not be opened
         return False
 

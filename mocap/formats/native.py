@@ -247,16 +247,17 @@ def _sniff(path: Path, head: bytes) -> bool:
     if not head.startswith(b"PK"):
         return False
     # A file cut short has lost its directory; the first member still names itself.
-    return "schema" in _npz.names(path) or b"schema.npy" in head or _is_motion(path)
+    return "schema" in _npz.names(path) or b"schema.npy" in head or is_motion(path)
 
 
-def _is_motion(path: Path) -> bool:
+def is_motion(path: Path) -> bool:
+    """Whether a `.npz` is a motion that states its time, as poser writes those of a recording."""
     names = _npz.names(path)
     return "schema" not in names and {"poses", "mocap_framerate", "start_s"} <= names
 
 
 def _read(path: Path, options: Options) -> Document:
-    if _is_motion(path):
+    if is_motion(path):
         return _read_motion(path, options)
     schema = _npz.Fields(path, _npz.load(path, ("schema",))).text("schema")
     if schema == RAW:

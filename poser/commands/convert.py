@@ -44,6 +44,8 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def run(args: Namespace) -> int:
+    from mocap.formats import native
+
     output = _output(args)
     inputs = [args.input, *([args.reference] if args.reference else [])]
     files.check_output(output, inputs, (".npz",) if args.reference else (".npz", ".bvh"))
@@ -56,7 +58,7 @@ def run(args: Namespace) -> int:
         if args.reference:
             content = _with_reference(args, files.expected(args.input, doc, "recording"))
         tell(0.5, f"writing {output.name}")
-        files.write(output, content)
+        files.write(output, content, timed=native.states_start(args.input))
     with_it = f" with {args.reference} as its reference" if args.reference else ""
     say(f"{output}: {doc.kind}{with_it}, {len(content)} frames at {content.rate_hz:g} Hz")
     return DONE

@@ -18,7 +18,7 @@ from poser.console import DONE, UsageError, complain, emit, note
 from poser.live import addresses
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from mocap.skeleton import Skeleton
     from poser.live.alignment import Constants, PoseWatch
@@ -124,7 +124,7 @@ def run(args: Namespace) -> int:
             sinks.append(_sink(text, source, skeleton, args))
         source.open()
         begun = True
-        _announce(args, source, network)
+        _announce(args, source, network, sinks)
         loop.run(source, estimator, sinks, skeleton, report, telling.Teller(source, sinks).tell)
     finally:
         loop.close(source, sinks, report)
@@ -234,8 +234,11 @@ def _network(args: Namespace, kind: str, rest: str, sensors: tuple[str, ...]) ->
     return Network(receiver, assembler, sensors, where, table, watch, tracker, args.seconds)
 
 
-def _announce(args: Namespace, source: Source, network: str) -> None:
+def _announce(args: Namespace, source: Source, network: str, sinks: Sequence[Sink]) -> None:
     """What the user should know before anything comes: on stderr."""
+    for sink in sinks:
+        if url := getattr(sink, "url", ""):
+            complain(f"the page is {url}", "live")
     kind, rest = _address(args)
     if kind:
         _announce_network(args, source, network, rest)

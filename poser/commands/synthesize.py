@@ -103,7 +103,7 @@ def _sources(given: Sequence[Path]) -> list[Path]:
     found = []
     for path in given:
         found += training_files.motions([path]) if path.is_dir() else [path]
-    return found
+    return list({path.resolve(): path for path in reversed(found)}.values())[::-1]
 
 
 def noise_generator(seed: int, stem: str) -> np.random.Generator:
@@ -125,9 +125,21 @@ def _targets(motions: Sequence[Path], folder: Path) -> list[Path]:
         first[path.stem] = path
     targets = [folder / f"{p.stem}.npz" for p in motions]
     if folder.is_dir():
+        # Looked up, not compared each with each: folders hold thousands.
+        own = {_identity(path): path for path in motions}
         for target in targets:
-            files.check_output(target, motions, (".npz",))
+            same = own.get(_identity(target)) if target.exists() else None
+            files.check_output(target, [same] if same else [], (".npz",))
     return targets
+
+
+def _identity(path: Path) -> tuple[int, int] | Path:
+    """What the names of one file have in common."""
+    try:
+        found = path.stat()
+    except OSError:
+        return path
+    return found.st_dev, found.st_ino
 
 
 def _one(source: Path, sensors: tuple[str, ...], args: Namespace) -> Recording | RawRecording:

@@ -111,17 +111,14 @@ def run(args: Namespace) -> int:
         corpus, config.sensors, config.rate_hz, settings.frames, settings.augmentation, world.device
     )
     del corpus  # as much memory as the windows' splines; nothing else reads it
-    # Reading is over, and the first step may be half a minute away.
-    if world.first and not args.json:
-        note(
-            f"{args.output}: {about['clips']} clips, {about['minutes']:g} min to train on, "
-            f"{about['validation_clips']} to validate on"
-        )
     key = f"{about['key']} {args.share:g}"
     record: dict[str, Any] = {"data": about, "licence": _own_licence(args)}
     if args.start:
         licences.inherit(record, args.start)
-    trainer = Trainer(settings, windows, validation, args.output, record, start, world, key)
+    with progress(
+        "preparing"
+    ):  # scalers, and which precision is faster: half a minute on a busy machine
+        trainer = Trainer(settings, windows, validation, args.output, record, start, world, key)
     return training.execute(
         trainer, validation, args, record, lambda: _windows(args.network, _evenly(learnt))
     )

@@ -194,8 +194,10 @@ class Network:
 
     def _refuse(self, device: str) -> None:
         self._receiver.rejected["device unknown"] += 1
-        if len(self._unknown) < MOST_UNKNOWN and device not in self._unknown:
-            self._unknown.append(device)
+        # A character a column: wide ones would wrap the line that is written over.
+        name = device.encode("ascii", "backslashreplace").decode()
+        if len(self._unknown) < MOST_UNKNOWN and name not in self._unknown:
+            self._unknown.append(name)
 
     def _sample(self, row: Row) -> Sample | None:
         if self._watch is not None:

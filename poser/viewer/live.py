@@ -53,4 +53,4 @@ class ViewerSink:
 
     def close(self) -> dict[str, Any]:
         stage.stop(self._server)
-        return {"shown": self.shown}
+        return {"url": self.url, "shown": self.shown}

@@ -14,7 +14,7 @@ import pytest
 from mocap import metrics, sensors
 from mocap.errors import SensorError
 from mocap.formats import amass, bvh, native
-from poser import comparison, files, options
+from poser import comparison, files, motions, options
 from poser.__main__ import main
 from poser.commands import demo
 from poser.console import UsageError
@@ -301,10 +301,12 @@ def test_synthesize_searches_folders(
     (deep / "walk.npz").write_bytes((folder / "walk.npz").read_bytes())
     assert main(["convert", str(folder / "walk.npz"), str(tmp_path / "mots" / "other.bvh")]) == 0
     (deep / "rec.npz").write_bytes((folder / "rec" / "walk.npz").read_bytes())
+    native.write_motion(deep / "solved.npz", motions.squat(2.0))  # as solve and track write them
     monkeypatch.chdir(tmp_path / "mots")
-    for given, out in ((".", tmp_path / "v2"), (tmp_path / "mots", tmp_path / "v3")):
-        assert main(["synthesize", str(given), "-o", str(out)]) == 0
-        assert {p.name for p in out.iterdir()} == {"walk.npz", "other.npz"}
+    for given, out in (((".",), "v2"), ((tmp_path / "mots",), "v3"), ((".", "other.bvh"), "v5")):
+        assert main(["synthesize", *map(str, given), "-o", str(tmp_path / out)]) == 0
+        made = {p.name for p in (tmp_path / out).iterdir()}
+        assert made == {"walk.npz", "other.npz", "solved.npz"}
     status, said = refusal("synthesize", empty, "-o", tmp_path / "v4")
     assert status == 1 and f"no motion file in {empty}" in said
     assert not (tmp_path / "v4").exists()

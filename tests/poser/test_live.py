@@ -309,6 +309,19 @@ def test_a_recording_of_all_five_places_needs_no_choice(
     assert "note: imuposer sees left_wrist, right_pocket, head" in capsys.readouterr().err
 
 
+def test_the_page_is_told(live: Path, free_port: int, capsys: pytest.CaptureFixture[str]) -> None:
+    """Where the port is taken it is the next free one, which nobody could guess."""
+    words = ["live", "--source", str(live), "--speed", "max", "--sink", "viewer", "--json"]
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", free_port))
+        taken.listen()
+        assert main([*words, "--port", str(free_port)]) == 0
+    said = capsys.readouterr()
+    url = json.loads(said.out)["sinks"]["viewer"]["url"]
+    assert f"live: the page is {url}\n" in said.err
+    assert int(url.rsplit(":")[-1]) > free_port
+
+
 def test_devices_of_a_recording_are_counted_at_a_time(
     tmp_path: Path,
     estimators: Any,  # noqa: F811

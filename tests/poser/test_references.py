@@ -157,3 +157,30 @@ def test_from_a_recording_without_a_reference_to_a_network(
         assert main(["solve", str(bare), *words]) == 0
     put(place, motion, tmp_path / "with.npz")
     assert answer("finetune", "dip", tmp_path / "with.npz", *line)["step"] == 2
+
+
+def test_the_same_frames_go_together_whatever_a_file_rounds(place: Path, tmp_path: Path) -> None:
+    """A frame time of five decimals is a frame off after 100 s; as many frames are the same ones."""
+    text = (place / "plain.bvh").read_text()
+    (line,) = (row for row in text.splitlines() if row.startswith("Frame Time"))
+    rounded = tmp_path / "rounded.bvh"
+    rounded.write_text(text.replace(line, "Frame Time: 0.020012"))
+    made, walk = put(place, rounded, tmp_path / "with.npz"), files.motion(place / "true.npz")
+    assert made.reference is not None and len(made) == 100
+    np.testing.assert_allclose(made.reference.R_parent_joint, walk.R_parent_joint, atol=1e-4)
+
+
+def test_a_motion_keeps_that_it_begins_at_zero(place: Path, tmp_path: Path) -> None:
+    native.write_motion(tmp_path / "part.npz", motions.walk(4.0, 50.0))
+    assert (
+        main(
+            ["convert", str(tmp_path / "part.npz"), str(tmp_path / "slow.npz"), "--resample", "25"]
+        )
+        == 0
+    )
+    assert native.states_start(tmp_path / "slow.npz")
+    assert (
+        main(["convert", str(place / "plain.npz"), str(tmp_path / "free.npz"), "--resample", "25"])
+        == 0
+    )
+    assert not native.states_start(tmp_path / "free.npz")

@@ -263,6 +263,11 @@ def test_in_place_a_body_stands_whatever_its_path() -> None:
     feet = jumps.p_world_joint[:, [10, 11], 1].min(axis=1) - floors_of(jumps)
     assert feet.max() - feet.min() > 0.06
     assert floors_of(walk.slice(0, 1)).shape == (1,)
+    over = np.array(walk.R_parent_joint)
+    over[:, 0] = ori.rot_x(np.full(len(walk), np.pi)) @ over[:, 0]
+    handstand = replace(walk, R_parent_joint=over)
+    lowest = handstand.p_world_joint[..., 1].min(axis=1) - floors_of(handstand)
+    assert np.abs(lowest).max() < 0.1
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")

@@ -232,6 +232,10 @@ def test_names_of_strangers_are_bounded(capsys: pytest.CaptureFixture[str]) -> N
     telling.summary(Report(source=facts))
     said = capsys.readouterr().out
     assert "refused: device unknown: 6000 (the first of them: x0, x1, x2)\n" in said
+    # As wide as they look: a line of these would wrap otherwise.
+    source = listening(sent(["\u4e16" * 2], seconds=0.1))
+    samples_of(source._receiver, source, 0.5)  # type: ignore[arg-type]
+    assert source.facts()["unknown_devices"] == ["\\u4e16\\u4e16"]
 
 
 def test_the_line_fits_the_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
