@@ -180,7 +180,7 @@ def execute(
         where = f"goes on at step {begun}" if begun else "begins"
         say(f"{args.output}: {where}, {_precision(trainer)}")
     try:
-        with _bar(f"training {trainer.settings.config.network}", first) as tell:
+        with bar(f"training {trainer.settings.config.network}", first) as tell:
             best = trainer.run(_Told(trainer, tell, args.json or not first))
     except KeyboardInterrupt:
         if first:
@@ -222,7 +222,7 @@ def execute(
     return DONE
 
 
-def _bar(words: str, shown: bool) -> AbstractContextManager[Progress]:
+def bar(words: str, shown: bool) -> AbstractContextManager[Progress]:
     return progress(words) if shown else nullcontext(lambda fraction, text: None)
 
 
