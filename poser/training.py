@@ -223,6 +223,7 @@ def execute(
 
 
 def bar(words: str, shown: bool) -> AbstractContextManager[Progress]:
+    """`console.progress`, or nothing: of several processes one shows it."""
     return progress(words) if shown else nullcontext(lambda fraction, text: None)
 
 
