@@ -200,4 +200,4 @@ def test_live_poses(shots: Path) -> None:
             assert "latency 12.3 ms" in page.text()
             everything_is_local(page)
     finally:
-        assert sink.close() == {"shown": 1}
+        assert sink.close() == {"url": "http://127.0.0.1:18090", "shown": 1}
