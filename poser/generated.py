@@ -8,6 +8,7 @@ It holds none of the pieces of `poser.motions`, on which the demo measures.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -36,6 +37,11 @@ def motions(
     the count."""
     for k in range(COUNT if count is None else count):
         yield f"{NAME} {seed}-{k}", motion(seconds, np.random.default_rng([seed, k]))
+
+
+def is_name(name: str) -> bool:
+    """Whether a clip of this name is one of `motions`; a file's path ends in a suffix."""
+    return re.fullmatch(rf"{NAME} \d+-\d+", name) is not None
 
 
 def motion(seconds: float, rng: np.random.Generator) -> Motion:

@@ -104,7 +104,7 @@ def run(args: Namespace) -> int:
     if args.share < 1:
         corpus = corpus.subset(args.share, settings.seed)
         about |= {"clips": len(corpus.names), "minutes": round(corpus.seconds / 60, 1)}
-    learnt = [Path(name) for name in corpus.names if not name.startswith(generated.NAME)]
+    learnt = [Path(name) for name in corpus.names if not generated.is_name(name)]
     world = parallel.join(args.device)
     config = settings.config
     windows = Windows(
@@ -115,9 +115,8 @@ def run(args: Namespace) -> int:
     record: dict[str, Any] = {"data": about, "licence": _own_licence(args)}
     if args.start:
         licences.inherit(record, args.start)
-    with progress(
-        "preparing"
-    ):  # scalers, and which precision is faster: half a minute on a busy machine
+    # Scalers, and which precision is faster: half a minute on a busy machine.
+    with training.bar("preparing", world.first):
         trainer = Trainer(settings, windows, validation, args.output, record, start, world, key)
     return training.execute(
         trainer, validation, args, record, lambda: _windows(args.network, _evenly(learnt))
@@ -217,7 +216,9 @@ def _motions(paths: Sequence[Path]) -> Iterator[tuple[str, Motion]]:
         yield path.stem, files.motion(path, quiet=True)
 
 
-def own_clips(collections: Sequence[str], tell: Progress | None = None) -> tuple[Corpus, list[str]]:
+def own_clips(
+    collections: Sequence[str], tell: Progress = lambda fraction, words: None
+) -> tuple[Corpus, list[str]]:
     """The training clips (`mocap.dataset`) of these of the project's collections, drawn from by `SHARES`; a
     key of each collection that changes with them."""
     from learned import corpus
@@ -226,19 +227,15 @@ def own_clips(collections: Sequence[str], tell: Progress | None = None) -> tuple
 
     parts, keys = [], []
     for k, collection in enumerate(collections):
-        forward = part(tell, k / len(collections), (k + 1) / len(collections)) if tell else None
+        forward = part(tell, k / len(collections), (k + 1) / len(collections))
         if collection == "generated":
-            if forward:
-                forward(0.0, "drawing motions at random")
+            forward(0.0, "drawing motions at random")
             parts.append(corpus.pack((n, corpus.prepared(m)) for n, m in generated.motions()))
             keys.append(f"{generated.NAME} {generated.VERSION}")
             continue
         paths = dataset.files("train", (collection,))
         parts.append(
-            corpus.read(
-                paths,
-                lambda i, n, f=forward: f(i / n, f"reading {i} of {n} motions") if f else None,  # type: ignore[misc]
-            )
+            corpus.read(paths, lambda i, n, f=forward: f(i / n, f"reading {i} of {n} motions"))  # type: ignore[misc]
         )
         keys.append(corpus.key_of(paths))
     return corpus.Corpus.join(parts, [SHARES[c] for c in collections]), keys
