@@ -308,17 +308,21 @@ def rows_of_regions(model: Model) -> Iterable[dict[str, Any]]:
 def rows_of_validation(model: Model) -> Iterable[dict[str, Any]]:
     """Clips that trained and the validation clips of each collection, as training looks at them."""
     network = model.config.network
+    turn = torch.as_tensor(shipped().mean, dtype=torch.float32).reshape(23, 3)
+    still = torch.cat([torch.eye(3)[None], kin.exp(turn)])
     for collection, split, step in (
         ("cmu", "train", 6), ("cmu", "validation", 1), ("bandai", "validation", BANDAI_STEP),
     ):  # fmt: skip
         paths = dataset.files(split, (collection,))[::step]
         clips = [(p.stem, dataset.load(p, None)) for p in paths]
         held = cut_for(network, recordings(network, clips))
-        row = {"collection": collection, "split": split, "clips": len(paths)}
-        turn = torch.as_tensor(shipped().mean, dtype=torch.float32).reshape(23, 3)
-        still = torch.cat([torch.eye(3)[None], kin.exp(turn)]).expand(len(held.clip), 24, 3, 3)
-        yield row | {"what": "mean pose"} | figures(still, held)
-        yield row | {"what": network} | figures(predict(model, held)[0], held)
+        of = {"collection": collection, "split": split, "clips": len(paths)}
+        poses = {
+            "mean pose": still.expand(len(held.clip), 24, 3, 3),
+            network: predict(model, held)[0],
+        }
+        for what, estimated in poses.items():
+            yield of | {"what": what} | figures(estimated, held)
 
 
 OTHERS: dict[str, Callable[[argparse.Namespace], Iterable[dict[str, Any]]]] = {

@@ -135,11 +135,18 @@ class Motion:
         rate = check_rate(rate_hz, "Motion.resampled")
         if rate == self.rate_hz:
             return self
+        last = (len(self) - 1) / self.rate_hz
+        return self.sampled(np.arange(int(np.floor(last * rate + 1e-9)) + 1) / rate, rate)
+
+    def sampled(self, at_s: Array, rate_hz: float) -> Motion:
+        """At times (N,) s after its first frame, 1 / rate_hz apart: geodesic for rotations, linear for the
+        root's position; the ends hold. start_s becomes that of the first of them.
+        """
         t = np.arange(len(self)) / self.rate_hz
-        at = np.arange(int(np.floor(t[-1] * rate + 1e-9)) + 1) / rate
-        p = np.stack([np.interp(at, t, self.p_world_root[:, i]) for i in range(3)], axis=1)
-        R = ori.interpolate(t, self.R_parent_joint, at)
-        return replace(self, rate_hz=rate, R_parent_joint=R, p_world_root=p)
+        p = np.stack([np.interp(at_s, t, self.p_world_root[:, i]) for i in range(3)], axis=1)
+        R = ori.interpolate(t, self.R_parent_joint, at_s)
+        start_s = self.start_s + float(at_s[0])
+        return replace(self, rate_hz=rate_hz, R_parent_joint=R, p_world_root=p, start_s=start_s)
 
     def lowpassed(self, cutoff_hz: float) -> Motion:
         """Zero-phase Butterworth low-pass (4th order in effect: 2nd order run both ways).

@@ -166,6 +166,12 @@ def network_of_weights(path: Path) -> str:
     return checkpoint.config_of(path).network
 
 
+def check_weights(path: Path | None, network: str) -> None:
+    """Before anything is read: are they there, with their description, and of the method's network?"""
+    if path is not None and (found := network_of_weights(path)) != network:
+        raise PoserError(f"{path}: weights of {found}, expected {network}")
+
+
 def check_devices(found: dict[str, str], option: str = "--sensors") -> None:
     """IMUPoser's devices as worn all at once (of a recording: `at_once`): raises SensorError where it was not
     trained on them.
@@ -199,8 +205,7 @@ def make(
     after (default: 20,5). skeleton: the wearer's body. joint (S,), seat (S,3) m: where `sensors` sit, for the
     hybrid and for Adam (default: the table of places); networks know places by their names alone. IMUPoser
     may be given all five places: it reads those that are valid at the time (`check_devices` is the caller's).
-    Raises PoserError where something
-    does not fit.
+    Raises PoserError where something does not fit.
     """
     which = network_of(method, network)
     found = used(which, sensors)

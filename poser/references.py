@@ -75,22 +75,12 @@ def _covered(recording: Recording, motion: Motion) -> tuple[int, int]:
 
 
 def _at(motion: Motion, recording: Recording) -> Motion:
-    """The motion at the times of a recording's frames: geodesic for rotations, linear for the root."""
+    """The motion at the times of a recording's frames."""
     import numpy as np
 
-    from mocap import orientation as ori
-
-    t = np.arange(len(motion)) / motion.rate_hz
-    at = np.arange(len(recording)) / recording.rate_hz + (recording.start_s - motion.start_s)
-    p = np.stack([np.interp(at, t, motion.p_world_root[:, i]) for i in range(3)], axis=1)
-    R = ori.interpolate(t, motion.R_parent_joint, at)
-    return replace(
-        motion,
-        rate_hz=recording.rate_hz,
-        R_parent_joint=R,
-        p_world_root=p,
-        start_s=recording.start_s,
-    )
+    at_s = np.arange(len(recording)) / recording.rate_hz + (recording.start_s - motion.start_s)
+    made = motion.sampled(at_s, recording.rate_hz)
+    return replace(made, start_s=recording.start_s)  # which rounding has left
 
 
 def _note_apart(path: Path, made: Recording, source: Path) -> None:

@@ -133,9 +133,8 @@ def _note_places(network: str, worn: Sequence[dict[str, str]]) -> None:
     """Says once which sensors stand in for others, and which devices imuposer learns nothing of."""
     from mocap import sensors as places
 
-    others = dict.fromkeys((s, p) for found in worn for p, s in found.items() if s != p)
-    for sensor, place in others:
-        note(f"{sensor} stands in for {place}, which is on the same bone")
+    for text in dict.fromkeys(t for found in worn for t in estimators.served_words(found)):
+        note(text)
     never = [p for p in places.FIVE if not any(p in found for found in worn)]
     if network == "imuposer" and never:
         note(f"no recording has {', '.join(never)}: combinations with them are not trained")

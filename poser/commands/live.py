@@ -12,7 +12,6 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mocap.errors import PoserError
 from poser import estimators, files, options
 from poser.console import DONE, UsageError, complain, emit, note
 from poser.live import addresses
@@ -109,7 +108,7 @@ def run(args: Namespace) -> int:
 
     _settle(args)
     network = estimators.network_of(args.method, args.network)
-    _check_weights(args.weights, network)
+    estimators.check_weights(args.weights, network)
     skeleton = Skeleton.default(args.height)
     source = _source(args, network)
     sinks: list[Sink] = []
@@ -146,12 +145,6 @@ def _address(args: Namespace) -> tuple[str, str]:
             f"({kind}:0.0.0.0:9000 for other machines)"
         )
     return kind, rest
-
-
-def _check_weights(path: Path | None, network: str) -> None:
-    """Before anything is opened: are they there, with their description, and of the method's network?"""
-    if path is not None and (found := estimators.network_of_weights(path)) != network:
-        raise PoserError(f"{path}: weights of {found}, expected {network}")
 
 
 def _settle(args: Namespace) -> None:

@@ -12,7 +12,6 @@ from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mocap.errors import PoserError
 from poser import estimators, files, options
 from poser.console import DONE, UsageError, emit, note, progress, say
 
@@ -71,7 +70,7 @@ def run(args: Namespace) -> int:
         raise UsageError("argument --uncertainty: a .bvh file cannot hold it, an .npz file can")
     inputs = [args.recording, *([args.weights] if args.weights else [])]
     files.check_output(args.output, inputs, (".npz", ".bvh"))
-    _check_weights(args.weights, network)
+    estimators.check_weights(args.weights, network)
     whole = files.recording(args.recording, gaps=False)
     with files.about(args.recording):
         named = options.served(args.sensors, whole.sensors)
@@ -93,15 +92,6 @@ def run(args: Namespace) -> int:
     files.write(args.output, tracked.run.motion, extra, timed=True)
     _report(args, tracked)
     return DONE
-
-
-def _check_weights(path: Path | None, network: str) -> None:
-    """Before anything is read: are they there, with their description, and of the method's network?"""
-    if path is None:
-        return
-    found = estimators.network_of_weights(path)
-    if found != network:
-        raise PoserError(f"{path}: weights of {found}, expected {network}")
 
 
 def _chosen(

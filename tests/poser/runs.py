@@ -1,4 +1,4 @@
-"""What tests of training share: options of tiny networks, two processes as torchrun starts them."""
+"""What tests of training share: options of tiny networks, clips, two processes as torchrun starts them."""
 
 from __future__ import annotations
 
@@ -7,8 +7,20 @@ import socket
 import subprocess
 import sys
 from collections.abc import Sequence
+from pathlib import Path
+
+from mocap.formats.amass import write_motion
+from poser import motions
 
 SMALL = ["--hidden", "8", "--batch", "2", "--frames", "12", "--every", "2", "--no-dropout"]
+
+
+def three_clips(folders: Sequence[Path]) -> None:
+    """clip0.npz to clip2.npz, one in each of three folders, which are made if missing."""
+    pieces = (motions.squat, motions.arm_raises, motions.leg_raise)
+    for k, (folder, make) in enumerate(zip(folders, pieces, strict=True)):
+        folder.mkdir(parents=True, exist_ok=True)
+        write_motion(folder / f"clip{k}.npz", make(2.0))
 
 
 def together(programs: Sequence[str]) -> list[tuple[int, str, str]]:

@@ -41,6 +41,20 @@ def free_port() -> int:
         return int(s.getsockname()[1])
 
 
+@pytest.fixture
+def made_with(live: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """What the estimator was asked for by name, last."""
+    seen: dict[str, Any] = {}
+    make = the_estimators.make
+
+    def noted(*args: Any, **more: Any) -> Any:
+        seen.update(more)
+        return make(*args, **more)
+
+    monkeypatch.setattr(the_estimators, "make", noted)
+    return seen
+
+
 def test_replay_to_a_file(live: Path, tmp_path: Path, answer: Any, estimators: Any) -> None:  # noqa: F811
     out = tmp_path / "m.npz"
     facts = answer("live", "--source", live, "--sink", out, "--speed", "max", "--method", "dip")
@@ -55,24 +69,16 @@ def test_replay_to_a_file(live: Path, tmp_path: Path, answer: Any, estimators: A
 
 
 def test_the_recordings_own_seats_reach_the_estimator(
-    live: Path, tmp_path: Path, answer: Any, monkeypatch: pytest.MonkeyPatch
+    live: Path, tmp_path: Path, answer: Any, made_with: dict[str, Any]
 ) -> None:
     recording = formats.read(live).content
     assert isinstance(recording, Recording)
     own = replace(recording, placement=recording.placement + 0.01)
     path = tmp_path / "own.npz"
     native.write_recording(path, own)
-    seen: dict[str, Any] = {}
-    make = the_estimators.make
-
-    def noted(*args: Any, **more: Any) -> Any:
-        seen.update(more)
-        return make(*args, **more)
-
-    monkeypatch.setattr(the_estimators, "make", noted)
     answer("live", "--source", path, "--speed", "max", "--seconds", 1, "--method", "dip")
-    np.testing.assert_allclose(seen["seat"], own.placement)
-    assert seen["joint"].tolist() == own.joint.tolist()
+    np.testing.assert_allclose(made_with["seat"], own.placement)
+    assert made_with["joint"].tolist() == own.joint.tolist()
 
 
 def test_replay_at_its_own_pace_shows_the_latency(live: Path, tmp_path: Path, answer: Any) -> None:
@@ -258,20 +264,12 @@ def test_a_file_that_was_not_written_is_not_told_as_one(
 
 
 def test_weights_of_your_own(
-    live: Path, tmp_path: Path, refusal: Any, answer: Any, monkeypatch: pytest.MonkeyPatch
+    live: Path, tmp_path: Path, refusal: Any, answer: Any, made_with: dict[str, Any]
 ) -> None:
     shipped = Path(the_estimators.__file__).parents[1] / "learned" / "weights"
     words = ("live", "--source", live, "--speed", "max", "--seconds", 1, "--weights")
-    seen: dict[str, Any] = {}
-    make = the_estimators.make
-
-    def noted(*args: Any, **more: Any) -> Any:
-        seen.update(more)
-        return make(*args, **more)
-
-    monkeypatch.setattr(the_estimators, "make", noted)
     answer(*words, shipped / "dip.safetensors")
-    assert seen["weights"] == shipped / "dip.safetensors"
+    assert made_with["weights"] == shipped / "dip.safetensors"
     got, sentence = refusal(*words, shipped / "imuposer.safetensors")
     assert got == 1 and "weights of imuposer, expected dip" in sentence
     lone = tmp_path / "lone.safetensors"

@@ -17,13 +17,12 @@ import torch
 from learned import checkpoint, corpus, train
 from learned.export import PRECISION_ONLINE
 from mocap import sensors, synthesis
-from mocap.formats.amass import write_motion
 from mocap.formats.bvh import write_motion as write_bvh
 from mocap.formats.native import write_recording
 from poser import generated, motions, training
 from poser.__main__ import main
 from poser.commands import train as train_command
-from tests.poser.runs import SMALL, together
+from tests.poser.runs import SMALL, three_clips, together
 
 Answer = Callable[..., Any]
 Refusal = Callable[..., tuple[int, str]]
@@ -34,10 +33,7 @@ pytestmark = pytest.mark.usefixtures("small_runs")
 def clips(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder as AMASS has it: motions two folders deep, and a shape file that is none."""
     top = tmp_path_factory.mktemp("amass")
-    for k, make in enumerate((motions.squat, motions.arm_raises, motions.leg_raise)):
-        folder = top / f"subject{k}" / "deep"
-        folder.mkdir(parents=True)
-        write_motion(folder / f"clip{k}.npz", make(2.0))
+    three_clips([top / f"subject{k}" / "deep" for k in range(3)])
     np.savez(top / "subject0" / "shape.npz", betas=np.zeros(10))
     return top
 

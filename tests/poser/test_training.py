@@ -11,11 +11,10 @@ from typing import Any
 import pytest
 
 from learned import checkpoint, train
-from mocap.formats.amass import write_motion
-from poser import motions, training
+from poser import training
 from poser.__main__ import main
 from poser.console import UsageError
-from tests.poser.runs import SMALL, together
+from tests.poser.runs import SMALL, three_clips, together
 
 Answer = Callable[..., Any]
 Refusal = Callable[..., tuple[int, str]]
@@ -26,8 +25,7 @@ pytestmark = pytest.mark.usefixtures("small_runs")
 def clips(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder of three motions, of which one validates."""
     top = tmp_path_factory.mktemp("clips")
-    for k, make in enumerate((motions.squat, motions.arm_raises, motions.leg_raise)):
-        write_motion(top / f"clip{k}.npz", make(2.0))
+    three_clips([top] * 3)
     return top
 
 
