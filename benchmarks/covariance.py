@@ -2,7 +2,7 @@
 
 IMUPoser's errors on the validation clips of two people. Each person's clips are refined with the covariance
 of the other person's errors, with that of motion that the network has learnt from (scaled, see
-`learned.deviations.pooled`), and with the mean of both; beside them the network and its ten Adam steps.
+`training.deviations.pooled`), and with the mean of both; beside them the network and its ten Adam steps.
 """
 
 from __future__ import annotations
@@ -17,13 +17,15 @@ from common import evenly, machine, row
 from methods import IMUPOSER_HZ, IMUPOSER_S, Run, imuposer_runs
 
 import hybrid
-from learned import checkpoint, deviations
+from learned import checkpoint
 from learned.features import COMBINATIONS
+from learned.imuposer.adam import AdamEstimator
 from learned.models import Imuposer
-from learned.refine import AdamEstimator
-from learned.validation import Windowed, cut_for, recordings
-from mocap import Motion, dataset, metrics, sensors
+from learned.training import deviations
+from learned.training.validation import Windowed, cut_for, recordings
+from mocap import Motion, dataset, sensors
 from mocap.estimator import Estimator, replay
+from mocap.evaluation import metrics
 from poser.estimators import TRACKER
 
 NAMES = ("sip_deg", "angular_deg", "position_cm", "global_deg", "instrumented_deg", "jitter")

@@ -16,14 +16,14 @@ from dataclasses import replace
 
 from common import machine, row, seed_of
 
-from learned.corpus import FLIP_RAD
-from mocap import Motion, RawRecording, dataset, fusion, sensors
+from learned.training.corpus import FLIP_RAD
+from mocap import Motion, RawRecording, dataset, sensors
 from mocap import orientation as ori
-from mocap.calibration import calibrate
-from mocap.sensor_checks import check_sensors
+from mocap.calibration import calibrate, fusion
+from mocap.calibration.checks.single import check_sensors
 from mocap.synthesis import NOISES, raw_recording
-from poser.motions import builtin
-from poser.staging import with_static_pose
+from mocap.synthesis.motions import builtin
+from mocap.synthesis.staging import with_static_pose
 
 END_JOINTS = [7, 8, 12, 15, 20, 21]
 SEEDS = 10

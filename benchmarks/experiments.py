@@ -33,15 +33,16 @@ import numpy as np
 import torch
 from common import row
 
-from learned import checkpoint, corpus, deviations, online
+from learned import checkpoint, online
 from learned import kinematics as kin
-from learned.augmentation import Augmentation
 from learned.features import COMBINATIONS
 from learned.models import Dip, Model, for_network
-from learned.settings import TrainSettings
-from learned.train import Trainer
-from learned.validation import cut_for, figures, predict, recordings
-from learned.virtual import Windows
+from learned.training import corpus, deviations
+from learned.training.augmentation import Augmentation
+from learned.training.settings import TrainSettings
+from learned.training.trainer import Trainer
+from learned.training.validation import cut_for, figures, predict, recordings
+from learned.training.virtual import Windows
 from mocap import Motion, dataset, sensors
 from mocap.errors import PoserError
 from mocap.estimator import Estimator, replay

@@ -8,11 +8,12 @@ from functools import cache
 import numpy as np
 import torch
 
-from learned import validation
+from learned.dip.network import Gaussian
 from learned.models import Dip, Imuposer, Model
-from learned.networks.dip import Gaussian
-from mocap import Motion, Recording, dataset, metrics
+from learned.training import validation
+from mocap import Motion, Recording, dataset
 from mocap import orientation as ori
+from mocap.evaluation import metrics
 from mocap.synthesis import Noise
 
 MOST_CLIPS: int | None = None  # of a split: for trying things out

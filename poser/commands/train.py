@@ -19,9 +19,9 @@ from poser import files, licences, options, training, training_files
 from poser.console import UsageError, note, part, progress
 
 if TYPE_CHECKING:
-    from learned.corpus import Corpus
-    from learned.settings import TrainSettings
-    from learned.validation import Windowed
+    from learned.training.corpus import Corpus
+    from learned.training.settings import TrainSettings
+    from learned.training.validation import Windowed
     from mocap.motion import Motion
     from poser.console import Progress
 
@@ -32,7 +32,7 @@ SHARES = {"cmu": 0.65, "bandai": 0.35, "generated": 0.25}
 SOURCES = {
     "cmu": "CMU Graphics Lab mocap (mocap.cs.cmu.edu)",
     "bandai": "Bandai-Namco-Research-Motiondataset-2 (CC BY-NC 4.0)",
-    "generated": "motion drawn at random (poser.generated)",
+    "generated": "motion drawn at random (mocap.synthesis.generated)",
 }
 CREDITS = {
     "cmu": "The data used was obtained from mocap.cs.cmu.edu, created with funding from NSF EIA-0196217.",
@@ -89,10 +89,11 @@ def add_arguments(parser: ArgumentParser) -> None:
 def run(args: Namespace) -> int:
     settings = _settings(args)
     training.check_outputs(args, [*args.motions, *args.validation])
-    from learned import checkpoint, parallel
-    from learned.train import Trainer
-    from learned.virtual import Windows
-    from poser import generated
+    from learned import checkpoint
+    from learned.training import parallel
+    from learned.training.trainer import Trainer
+    from learned.training.virtual import Windows
+    from mocap.synthesis import generated
 
     start = None
     if args.start:
@@ -125,9 +126,9 @@ def run(args: Namespace) -> int:
 
 def _settings(args: Namespace) -> TrainSettings:
     """Settings of the options. Raises UsageError where one does not concern the network."""
-    from learned.augmentation import Augmentation
     from learned.models import for_network
-    from learned.settings import TrainSettings
+    from learned.training.augmentation import Augmentation
+    from learned.training.settings import TrainSettings
 
     if args.network == "imuposer":
         for name in ("architecture", "normalisation", "no_acc", "no_acc_loss"):
@@ -158,7 +159,7 @@ def _data(args: Namespace, tell: Progress) -> tuple[Corpus, Windowed, dict[str, 
         return _own_split(args.network, _collections(args), tell)
     if args.collections:
         raise UsageError("argument --collections: not with MOTION")
-    from learned import corpus
+    from learned.training import corpus
 
     train = training_files.motions(args.motions)
     held = training_files.motions(args.validation) if args.validation else []
@@ -201,7 +202,7 @@ def _collections(args: Namespace) -> tuple[str, ...]:
 
 def _windows(network: str, paths: Sequence[Path]) -> Windowed:
     """As the network sees the motions of these files online."""
-    from learned import validation
+    from learned.training import validation
 
     return validation.cut_for(network, validation.recordings(network, _motions(paths)))
 
@@ -221,9 +222,9 @@ def own_clips(
 ) -> tuple[Corpus, list[str]]:
     """The training clips (`mocap.dataset`) of these of the project's collections, drawn from by `SHARES`; a
     key of each collection that changes with them."""
-    from learned import corpus
+    from learned.training import corpus
     from mocap import dataset
-    from poser import generated
+    from mocap.synthesis import generated
 
     parts, keys = [], []
     for k, collection in enumerate(collections):

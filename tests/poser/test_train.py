@@ -14,12 +14,15 @@ import numpy as np
 import pytest
 import torch
 
-from learned import checkpoint, corpus, train
-from learned.export import PRECISION_ONLINE
+from learned import checkpoint
+from learned.training import corpus
+from learned.training import trainer as train
+from learned.training.export import PRECISION_ONLINE
 from mocap import sensors, synthesis
 from mocap.formats.bvh import write_motion as write_bvh
 from mocap.formats.native import write_recording
-from poser import generated, motions, training
+from mocap.synthesis import generated, motions
+from poser import training
 from poser.__main__ import main
 from poser.commands import train as train_command
 from tests.poser.runs import SMALL, three_clips, together
@@ -255,7 +258,7 @@ def test_the_projects_own_clips(
     about = found["data"]
     assert found["licence"] == "MIT" and about["credit"].endswith("EIA-0196217.")
     assert (about["clips"], about["validation_clips"]) == (5, 1)
-    assert "generated 1" in about["key"] and "poser.generated" in about["what"]
+    assert "generated 1" in about["key"] and "mocap.synthesis.generated" in about["what"]
     said = refusal(*words, "-o", tmp_path / "none", "--collections", "generated")
     assert said[0] == 2 and "beside another" in said[1]
 

@@ -10,7 +10,8 @@ from typing import Any
 
 import pytest
 
-from learned import checkpoint, train
+from learned import checkpoint
+from learned.training import trainer as train
 from poser import training
 from poser.__main__ import main
 from poser.console import UsageError
