@@ -1,6 +1,6 @@
 """The built problem: the terms, the mapped CasADi kinematics, cost, gradient and Gauss-Newton matrix.
 
-Building and solving are two steps; the solvers (`sip.banded`, `sip.ipopt`) see only this.
+Building and solving are two steps; the solvers (`sip.solvers.banded`, `sip.solvers.ipopt`) see only this.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from mocap.orientation import Array
 from mocap.recording import Recording
 from mocap.skeleton import Skeleton
 from sip import kinematics as kin
-from sip.band import Band
-from sip.box import Box
 from sip.over_frames import OverFrames
 from sip.prior import Conditioned
 from sip.settings import Settings
+from sip.solvers.band import Band
+from sip.solvers.box import Box
 from sip.terms.acceleration import Acceleration
 from sip.terms.anthropometric import Limits, PosePrior
 from sip.terms.base import Point, Term

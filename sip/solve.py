@@ -15,11 +15,12 @@ from mocap.orientation import Array
 from mocap.recording import Recording
 from mocap.skeleton import Skeleton
 from mocap.solution import Solution
-from sip import banded, initial, ipopt
+from sip import initial
 from sip import kinematics as kin
 from sip.kinematics import ROOT_P
 from sip.problem import CONSTANTS, SensorKinematics, build, reference_root
 from sip.settings import Settings
+from sip.solvers import banded, ipopt
 from sip.windows import Part, Window, assemble, part_of, windows
 
 Progress = Callable[[float, str], None]

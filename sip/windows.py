@@ -15,12 +15,12 @@ from mocap.recording import Recording
 from mocap.skeleton import Skeleton
 from mocap.solution import Solution
 from sip import kinematics as kin
-from sip.band import factored
-from sip.banded import Result
 from sip.kinematics import BODY, ROOT_P, ROOT_W
 from sip.prior import Conditioned
 from sip.problem import CONSTANTS, Problem, overcount
 from sip.settings import Settings
+from sip.solvers.band import factored
+from sip.solvers.banded import Result
 from sip.terms.calibration import SensorConstants
 
 FAR_RAD = np.deg2rad(150.0)
