@@ -18,10 +18,12 @@ AXES = "xyz"
 
 def sentence(finding: Finding) -> str:
     """One sentence for a person; it begins with `sensor NAME: ` where it is about one sensor."""
+    if "said" in finding.details:
+        return str(finding.details["said"])
     told = clause(finding)
     # Exchanged sensors are named together.
-    alone = finding.sensor is None or finding.code == "swapped" or "said" in finding.details
-    return told if alone else f"sensor {finding.sensor}: {told}"
+    together = finding.sensor is None or finding.code == "swapped"
+    return told if together else f"sensor {finding.sensor}: {told}"
 
 
 def clause(finding: Finding) -> str:

@@ -448,7 +448,7 @@ def test_two_processes_train_one_network(clips: Path, tmp_path: Path, network: l
     words = ["train", "dip", str(clips), "-o", folder, *network, "--steps", "4", "--json"]
     code = (
         "import sys\n"
-        "from learned import train\n"
+        "from learned.training import trainer as train\n"
         "train._SCALER_BATCHES = 1\n"
         "run = train.Trainer.run\n"
         "def told(self, progress=None):\n"

@@ -25,9 +25,9 @@ import numpy as np
 from mocap import orientation as ori
 from mocap import sensors as places
 from mocap.calibration import checks, fusion, pose_facing
-from mocap.calibration.calibration import Calibration, Source, turned
 from mocap.calibration.evidence import Evidence, Held, gather
 from mocap.calibration.pose_facing import OtherPose, PoseName
+from mocap.calibration.record import Calibration, Source, turned
 from mocap.calibration.static_pose import StaticPose, Window, average, find_static
 from mocap.calibration.words import summary
 from mocap.errors import CalibrationError
