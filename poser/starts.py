@@ -52,10 +52,11 @@ def _of_file(path: Path, whole: Recording, window: Recording, first: int) -> Mot
     of the window.
     """
     from mocap import timeline as clock
+    from mocap.formats import native
 
     found, frames = files.motion(path).resampled(whole.rate_hz), len(window)
     with files.about(path):
-        found = clock.placed(path, found, whole, window, first)
+        found = clock.placed(found, native.states_start(path), whole, window, first)
     if len(found) != frames:
         raise PoserError(
             f"{path}: {len(found)} frames at {whole.rate_hz:g} Hz, expected as many as the "

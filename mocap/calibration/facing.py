@@ -28,7 +28,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import butter, sosfiltfilt
 
 from mocap import orientation as ori
 from mocap.calibration.static_pose import StaticPose, Window
@@ -98,6 +97,8 @@ def lowpass(x: Array, cutoff_hz: float, rate_hz: float) -> Array:
     """Zero-phase 2nd-order low-pass along axis 0; unchanged where it is too short or slow for it."""
     if cutoff_hz >= rate_hz / 2 or len(x) < 16:
         return x
+    from scipy.signal import butter, sosfiltfilt  # slow to import, and readers filter nothing
+
     sos = butter(2, cutoff_hz / (rate_hz / 2), output="sos")
     return np.asarray(sosfiltfilt(sos, x, axis=0, padlen=min(len(x) - 1, int(rate_hz / cutoff_hz))))
 

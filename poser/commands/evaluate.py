@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from mocap import timeline as clock
 from mocap.errors import FormatError
-from poser import files, options, references
+from poser import files, options
 from poser.console import DONE, emit, note, table
 
 if TYPE_CHECKING:
@@ -100,7 +100,7 @@ class _Answer:
 
 
 def _evaluate(args: Namespace) -> _Answer:
-    from mocap.evaluation import metrics
+    from mocap.evaluation import metrics, references
     from mocap.formats import Options, native
     from mocap.skeleton import Skeleton
 
@@ -115,7 +115,8 @@ def _evaluate(args: Namespace) -> _Answer:
             available = None if recording is None else recording.sensors
             seen = options.sensors(args.sensors, available)
     if reference is not None and recording is not None and not timed:
-        references.same_time(args.recording, recording, reference, _PART)
+        with files.about(args.recording):
+            references.same_time(recording, reference, _PART)
         # Frame for frame the recording's, so on its clock.
         reference, timed = replace(reference, start_s=recording.start_s), True
     stated: dict[Path, Motion | Recording] = {}
