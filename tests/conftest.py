@@ -2,11 +2,54 @@
 
 from __future__ import annotations
 
+import gc
 import os
+import signal
+import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+
+LEFT_OVER = pytest.StashKey[list[str]]()
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Ctrl-C works also where the suite was started with it ignored, as a shell does in the background.
+
+    What fails inside the garbage collector is written down, to be told at the end: it runs during any test.
+    """
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    left = config.stash[LEFT_OVER] = []
+
+    def note(failed: Any) -> None:
+        during = os.environ.get("PYTEST_CURRENT_TEST", "no test")
+        what = failed.err_msg or "exception ignored in"
+        left.append(f"{what} {failed.object!r}: {failed.exc_value!r} (noticed during {during})")
+
+    sys.unraisablehook = note
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    gc.collect()
+    left = session.config.stash[LEFT_OVER]
+    if hasattr(session.config, "workeroutput"):
+        session.config.workeroutput["left_over"] = left
+    elif left and session.exitstatus == pytest.ExitCode.OK:
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node: Any, error: object) -> None:
+    """A process of pytest-xdist hands over what it wrote down."""
+    node.config.stash[LEFT_OVER].extend(getattr(node, "workeroutput", {}).get("left_over", []))
+
+
+def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
+    for line in config.stash[LEFT_OVER]:
+        terminalreporter.write_line(f"LEFT OVER {line}")
 
 
 @pytest.fixture
