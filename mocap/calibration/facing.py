@@ -29,7 +29,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap import orientation as ori
 from mocap.calibration.static_pose import StaticPose, Window
 from mocap.errors import CalibrationError, SensorError
 from mocap.orientation import Array
@@ -376,9 +375,3 @@ def pelvis_first(sensors: tuple[str, ...]) -> str:
         if name in sensors:
             return name
     return sensors[0]
-
-
-def yaw_since_pose(raw: RawRecording, pose: StaticPose) -> Array:
-    """(T,S) rad: heading of each sensor since the pose, that of R_ws(t) R_ws(pose)^T."""
-    assert raw.R_world_sensor is not None
-    return ori.heading(raw.R_world_sensor @ np.swapaxes(pose.R_world_sensor, -1, -2))

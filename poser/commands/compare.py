@@ -163,7 +163,7 @@ def _check_inputs(args: Namespace, outputs: list[Path]) -> None:
 
 
 def _jobs(args: Namespace) -> list[Job]:
-    from mocap import timeline as clock
+    from mocap import timeline
     from mocap.formats import native
     from mocap.skeleton import Skeleton
     from poser import comparison
@@ -192,7 +192,7 @@ def _jobs(args: Namespace) -> list[Job]:
             source = Path(args.reference)
             with files.about(source):
                 timed = native.states_start(source)
-                truth = clock.placed(truth, timed, recording, window, first)
+                truth = timeline.placed(truth, timed, recording, window, first)
         if truth is None and recording.reference is None:
             raise PoserError(
                 f"{path}: holds no reference motion; give --reference MOTION, or sip-all for SIP on all "
