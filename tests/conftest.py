@@ -14,6 +14,56 @@ import pytest
 
 LEFT_OVER = pytest.StashKey[list[str]]()
 
+# Files and folders whose tests solve, train, calibrate many recordings, or run whole commands.
+SLOW = (
+    "hybrid/test_motion_filter.py",
+    "hybrid/test_refinement.py",
+    "hybrid/test_tracker.py",
+    "learned/imuposer/test_adam.py",
+    "learned/online/test_online_windows.py",
+    "learned/training/test_train.py",
+    "learned/training/test_validation.py",
+    "learned/training/test_virtual.py",
+    "mocap/calibration/test_arm_checks.py",
+    "mocap/calibration/test_calibration.py",
+    "mocap/calibration/test_diagnostics.py",
+    "mocap/calibration/test_facing.py",
+    "mocap/calibration/test_limb_levels.py",
+    "mocap/calibration/test_pose_checks.py",
+    "mocap/calibration/test_side_checks.py",
+    "mocap/calibration/test_stances.py",
+    "mocap/calibration/test_static_pose.py",
+    "mocap/formats/test_fuzz_mat.py",
+    "mocap/formats/test_fuzz_motions.py",
+    "mocap/formats/test_fuzz_recordings.py",
+    "poser/live/test_devices.py",
+    "poser/live/test_loop.py",
+    "poser/live/test_network.py",
+    "poser/test_cluster.py",
+    "poser/test_commands.py",
+    "poser/test_compare.py",
+    "poser/test_compare_failures.py",
+    "poser/test_compare_interrupted.py",
+    "poser/test_examples.py",
+    "poser/test_finetune.py",
+    "poser/test_live.py",
+    "poser/test_process.py",
+    "poser/test_timeline.py",
+    "poser/test_track.py",
+    "poser/test_train.py",
+    "poser/test_training.py",
+    "poser/test_view.py",
+    "poser/test_view_page.py",
+    "sip/test_posterior.py",
+    "sip/test_real.py",
+    "sip/test_solve.py",
+    "sip/test_starts.py",
+    "sip/test_stopping.py",
+    "sip/test_windows.py",
+    "sip/test_world.py",
+    "sip/solvers",
+)
+
 
 def pytest_configure(config: pytest.Config) -> None:
     """Ctrl-C works also where the suite was started with it ignored, as a shell does in the background.
@@ -29,6 +79,15 @@ def pytest_configure(config: pytest.Config) -> None:
         left.append(f"{what} {failed.object!r}: {failed.exc_value!r} (noticed during {during})")
 
     sys.unraisablehook = note
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark as slow what `SLOW` names; single tests of other files carry the marker themselves."""
+    here = Path(__file__).parent
+    slow = [here / name for name in SLOW]
+    for item in items:
+        if any(item.path == path or path in item.path.parents for path in slow):
+            item.add_marker(pytest.mark.slow)
 
 
 @pytest.hookimpl(trylast=True)

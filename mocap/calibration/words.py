@@ -21,9 +21,12 @@ def sentence(finding: Finding) -> str:
     if "said" in finding.details:
         return str(finding.details["said"])
     told = clause(finding)
-    # Exchanged sensors are named together.
-    together = finding.sensor is None or finding.code == "swapped"
-    return told if together else f"sensor {finding.sensor}: {told}"
+    return f"sensor {finding.sensor}: {told}" if _of_one(finding) else told
+
+
+def _of_one(finding: Finding) -> bool:
+    """Whether its sentence begins with its sensor; exchanged ones are named together."""
+    return finding.sensor is not None and finding.code != "swapped"
 
 
 def clause(finding: Finding) -> str:
@@ -45,11 +48,11 @@ def summary(findings: Sequence[Finding]) -> str:
             codes.setdefault(f.code, []).append(f)
     parts = []
     for group in codes.values():
-        text = sentence(group[0])
-        if len(group) > 1 and text.startswith("sensor "):
+        if len(group) > 1 and _of_one(group[0]):
             names = ", ".join(f.sensor or "" for f in group)
-            text = f"sensors {names}: {clause(group[0])}"
-        parts.append(text)
+            parts.append(f"sensors {names}: {clause(group[0])}")
+        else:
+            parts.append(sentence(group[0]))
     return "; ".join(dict.fromkeys(parts))
 
 
