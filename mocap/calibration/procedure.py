@@ -99,7 +99,7 @@ def _allowed(raw: RawRecording, orientation: Orientation) -> None:
 def _refused_if(strict: bool, findings: list[Finding]) -> list[Finding]:
     """The findings; raises CalibrationError where one is an error, and `strict`."""
     if strict and checks.failed(findings):
-        raise CalibrationError(summary(findings))
+        raise CalibrationError(summary(checks.settled(findings)))
     return findings
 
 
