@@ -2,8 +2,9 @@
 
 Read by tag. A frame of type `normal` holds `orientation` (wxyz per segment), `position` (m), and per
 sensor `sensorOrientation` (wxyz) and `sensorFreeAcceleration` (m/s^2, gravity removed, world). The world
-is z-up with x forward: (x, y, z) becomes our (y, z, x). Segment frames are the world's in the T-pose,
-as our bones' are.
+is z-up with x forward: (x, y, z) becomes our (y, z, x). Segment frames are the world's in the T-pose, with
+straight arms and legs. Our bones' are the world's in our rest pose, so those of arms and legs are turned
+from one to the other, as in `_retarget`.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import numpy as np
 from mocap import orientation as ori
 from mocap.errors import FormatError, ShapeError
 from mocap.formats import Document, Format, Options, _checks, _physics, _text, _xml
+from mocap.formats._neutral import straightening
 from mocap.motion import Motion
 from mocap.orientation import Array
 from mocap.recording import Recording
@@ -162,6 +164,16 @@ def _turned(path: Path, quat: Array, names: tuple[str, ...], tag: str) -> Array:
     return R_OURS_MVN @ R @ R_OURS_MVN.T
 
 
+def _bones(take: _Take, R: Array, body: Skeleton) -> Array:
+    """R_world_bone (T,N,3,3) of our body from R_world_segment, segments as they are named."""
+    R = np.array(R)
+    for joint, S in straightening(body.rest_positions, {j: j for j in range(24)}).items():
+        if _SEGMENTS[joint] in take.segments:
+            i = take.segments.index(_SEGMENTS[joint])
+            R[:, i] = R[:, i] @ S.T
+    return R
+
+
 def _body(take: _Take, options: Options) -> tuple[Skeleton, list[str]]:
     """The table's body at the wearer's stature: by the height of the head joint over the toes."""
     if options.smpl is not None:
@@ -217,7 +229,7 @@ def _positions(path: Path, take: _Take) -> Array | None:
 
 
 def _motion(path: Path, take: _Take, R: Array, rate: float, body: Skeleton) -> Motion:
-    """The segments' pose (T,N,3,3) on our tree. The pelvis segment's origin lies between the hips."""
+    """R_world_bone (T,N,3,3) by segment, on our tree. The pelvis segment's origin lies between the hips."""
     index = [take.segments.index(n) for n in _SEGMENTS]
     R_world_joint = R[:, index]
     position = _positions(path, take)
@@ -235,14 +247,15 @@ def _motion(path: Path, take: _Take, R: Array, rate: float, body: Skeleton) -> M
 def _recording(
     path: Path,
     take: _Take,
-    R_segment: Array,
+    R_carrier: Array,
     motion: Motion | None,
     rate: float,
     options: Options,
 ) -> tuple[Recording, list[str]]:
     """Sensors on their bones: R_world_bone = R_world_sensor R_bone_sensor^T.
 
-    R_bone_sensor is the chordal mean over all frames of R_world_segment^T R_world_sensor.
+    R_carrier (T,N,3,3): R_world_bone by segment. R_bone_sensor is the chordal mean over all frames of its
+    inverse times R_world_sensor.
     """
     quat, free = (_array(path, take, tag) for tag in _SENSOR_TAGS)
     assert quat is not None and free is not None
@@ -250,7 +263,7 @@ def _recording(
     names = tuple(take.sensors[s] for s in use)
     sensors = tuple(PLACES[n] for n in names)
     R = _turned(path, quat[:, use], names, "sensorOrientation")
-    carrier = R_segment[:, [take.segments.index(n) for n in names]]
+    carrier = R_carrier[:, [take.segments.index(n) for n in names]]
     relative = np.swapaxes(carrier, -1, -2) @ R
     R_bone = np.empty_like(R)
     doubts = []
@@ -285,6 +298,7 @@ def _read(path: Path, options: Options) -> Document:
         where = _checks.at(tuple(take.segments), t, s, "orientation")
         raise FormatError(path, "not finite", where)
     body, assumed = _body(take, options)
+    R = _bones(take, R, body)
     missing = [n for n in dict.fromkeys(_SEGMENTS) if n not in take.segments]
     motion = None if missing else _motion(path, take, R, rate, body)
     if missing:
