@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from learned.features import COMBINATIONS
-from learned.online.intake import HOLD_S
+from learned.online.holding import HOLD_S
 from mocap.recording import Recording
 
 _MASKS = torch.tensor([[p in c for p in range(5)] for c in COMBINATIONS])  # (24,5)
 
 
 def there(recording: Recording) -> NDArray[np.bool_]:
-    """(T,S): the sensors that the online runner takes for worn (`learned.online.intake.Held.present`): with a
-    valid orientation in the `HOLD_S` before; or the first one in those after, which stands for what was
-    before it.
+    """(T,S): the sensors that the online runner takes for worn (`learned.online.holding.Held.present`):
+    with a valid orientation in the `HOLD_S` before; or the first one in those after, which stands for
+    what was before it.
     """
     ok, hold = recording.ori_valid, HOLD_S * recording.rate_hz + 1e-6
     t = np.arange(len(ok))[:, None]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from learned.online import resampling
-from learned.online.intake import Held, take
+from learned.online.holding import Held, take
 from mocap import orientation as ori
 from mocap.errors import ShapeError
 from mocap.estimator import Pose, Sample
@@ -53,7 +53,7 @@ class OnlineState:
 
     network: the network's state. ticks: frames it has had. recent: the samples that the next tick needs.
     waiting: our time and the stamp of the samples whose poses are due. answers: the network's poses, our
-    time first, that these lie between. Our time: s of `learned.online.intake`, at equal rates frames.
+    time first, that these lie between. Our time: s of `learned.online.holding`, at equal rates frames.
     """
 
     network: Any = None
