@@ -18,15 +18,16 @@ from methods import IMUPOSER_HZ, IMUPOSER_S, Run, imuposer_runs
 
 import hybrid
 from learned import checkpoint
-from learned.features import COMBINATIONS
 from learned.imuposer.adam import AdamEstimator
-from learned.models import Imuposer
+from learned.imuposer.deviations import imuposer_covariances
+from learned.imuposer.model import Imuposer
+from learned.imuposer.specification import COMBINATIONS
+from learned.registry import specification
 from learned.training import deviations
 from learned.training.validation import Windowed, cut_for, recordings
 from mocap import Motion, dataset, sensors
 from mocap.estimator import Estimator, replay
 from mocap.evaluation import metrics
-from poser.estimators import TRACKER
 
 NAMES = ("sip_deg", "angular_deg", "position_cm", "global_deg", "instrumented_deg", "jitter")
 TRAINING_STEP = 2  # every so many of the training clips
@@ -55,8 +56,8 @@ def main() -> None:
     }
     seen = windows(dataset.files("train", ("cmu",))[::TRAINING_STEP], args.windows)
     with torch.inference_mode(False), torch.no_grad():
-        learnt = deviations.imuposer_covariances(model, seen)
-        of = {s: deviations.imuposer_covariances(model, w) for s, w in own.items()}
+        learnt = imuposer_covariances(model, seen)
+        of = {s: imuposer_covariances(model, w) for s, w in own.items()}
     ways: dict[str, dict[str, list[np.ndarray]]] = {}
     for s in people:
         (other,) = (p for p in people if p != s)
@@ -67,7 +68,7 @@ def main() -> None:
             "both": [deviations.pooled(a, c) for a, c in pairs],
         }
         ways[s] = {way: [deviations.shrunk(c).numpy() for c in C] for way, C in made.items()}
-    settings = hybrid.TrackerSettings(**TRACKER["imuposer"])
+    settings = hybrid.TrackerSettings(**specification("imuposer").tracker)
     found: dict[tuple[str, str], list[list[float]]] = {}
 
     def tell(s: str, way: str, motion: Motion, run: Run) -> None:

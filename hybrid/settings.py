@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from typing import Any
 
 from hybrid.motion_filter import FilterNoise
 from mocap.errors import PoserError
+from mocap.estimator import Estimator, tracker_hints
 
 POSITIVE = (
     "orientation_sigma_deg",
@@ -58,6 +60,17 @@ class TrackerSettings:
     spine: bool = True
     translation: bool = True
     filter_noise: FilterNoise = field(default_factory=FilterNoise)
+
+    @classmethod
+    def around(cls, network: Estimator, **changes: Any) -> TrackerSettings:
+        """The defaults around this network (`mocap.estimator.tracker_hints`), with these changes.
+
+        Raises PoserError for a hint or a change that is no setting.
+        """
+        stated = {**tracker_hints(network), **changes}
+        if odd := sorted(stated.keys() - {f.name for f in fields(cls)}):
+            raise PoserError(f"TrackerSettings: no setting {', '.join(odd)}")
+        return cls(**stated)
 
     def __post_init__(self) -> None:
         if not 0 <= self.network_memory_s < float("inf"):

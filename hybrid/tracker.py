@@ -62,8 +62,9 @@ class TrackerState:
 class Tracker:
     """`Estimator` around a network's `Estimator`: same rate, sensors and look-ahead.
 
-    tasks: what makes up a frame's cost; default, `hybrid.tasks.standard` of the settings, to which more can
-    be added (`hybrid.tasks`). joint (S,), seat (S,3) m: where the sensors sit; default, the table of places.
+    settings: default, those that the network asks for (`TrackerSettings.around`). tasks: what makes up a
+    frame's cost; default, `hybrid.tasks.standard` of the settings, to which more can be added
+    (`hybrid.tasks`). joint (S,), seat (S,3) m: where the sensors sit; default, the table of places.
     skeleton: the body; default, the table's. Raises SensorError for sensors that are not in the table
     without them.
     """
@@ -79,7 +80,7 @@ class Tracker:
         seat: Array | None = None,
     ) -> None:
         self.network = network
-        self.settings = settings or TrackerSettings()
+        self.settings = settings or TrackerSettings.around(network)
         self.rate_hz = check_rate(network.rate_hz, "Tracker")
         self.sensors = tuple(network.sensors)
         self.look_ahead_frames = int(network.look_ahead_frames)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from mocap import gate
 from mocap.estimator import Sample
 from mocap.orientation import Array
+from mocap.recording import Recording
 
 HOLD_S = 0.5  # a loss up to this long holds the last value; after it the sensor counts as lost
 GAP_S = 0.5  # a step of the clock beyond this is a jump: no motion is invented for it
@@ -71,3 +72,16 @@ def take(before: Held | None, sample: Sample, rate_hz: float) -> Held:
         np.where(turned, now, before.seen_s),
         jumped,
     )
+
+
+def there(recording: Recording) -> NDArray[np.bool_]:
+    """(T,S): the sensors that the online runner takes for worn (`Held.present`):
+    with a valid orientation in the `HOLD_S` before; or the first one in those after, which stands for
+    what was before it.
+    """
+    ok, hold = recording.ori_valid, HOLD_S * recording.rate_hz + 1e-6
+    t = np.arange(len(ok))[:, None]
+    last = np.maximum.accumulate(np.where(ok, t, -np.inf), axis=0)
+    first = np.where(ok.any(0), ok.argmax(0), np.inf)
+    out: NDArray[np.bool_] = (t - last <= hold) | ((first > t) & (first - t <= hold))
+    return out

@@ -6,8 +6,9 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from learned.checkpoint import LARGEST_HIDDEN
+from learned.config import Config, for_network
 from learned.errors import TrainingError
-from learned.models import Config, for_network
+from learned.registry import specification
 from learned.training.augmentation import Augmentation
 
 
@@ -79,13 +80,8 @@ class TrainSettings:
         with one combination of devices drawn for each, and a number of steps, where the paper has windows
         that do not overlap, 24 copies of each (4.2) and 80 epochs (4.3).
         """
-        if network == "imuposer":
-            base: dict[str, Any] = {
-                "config": for_network("imuposer"), "batch": 256, "frames": 125, "learning_rate": 3e-4,
-                "decay": 1.0, "clip": float("inf"),
-            }  # fmt: skip
-            return cls(**(base | changes))
-        return cls(**changes)
+        base = {"config": for_network(network), **specification(network).schedule}
+        return cls(**(base | changes))
 
     def to_json(self) -> dict[str, Any]:
         """As JSON."""
