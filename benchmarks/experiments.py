@@ -34,7 +34,7 @@ import torch
 from common import row
 
 from learned import checkpoint, online
-from learned import kinematics as kin
+from learned import tree as kin
 from learned.config import for_network
 from learned.dip.model import Dip
 from learned.imuposer.specification import COMBINATIONS

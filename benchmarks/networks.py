@@ -26,7 +26,7 @@ from torch import Tensor
 from hybrid import TrackerSettings
 from hybrid.refinement import Refinement
 from learned import checkpoint, online, runtime
-from learned import kinematics as kin
+from learned import tree as kin
 from learned.config import for_network
 from learned.dip.model import Dip
 from learned.imuposer.adam import CHAINS, AdamSettings, refine

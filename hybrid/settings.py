@@ -24,23 +24,28 @@ POSITIVE = (
 
 @dataclass(frozen=True)
 class TrackerSettings:
-    """Sigmas are one standard deviation per axis.
+    """Sigmas are one standard deviation per axis. Where poses carry the covariance of the network's errors,
+    that is used instead of network_sigma_deg, network_scale and network_ceiling_deg.
 
-    orientation_sigma_deg: measured bone orientation (mounting, heading, soft tissue).
-    network_sigma_deg: of a joint for which the network states none. network_scale: factor on what the
-    network states. Each is one number, or 24 of them (`hybrid.scale` finds them on validation motion).
-    Where poses carry the covariance of the network's errors, that is used instead of all three.
-    network_floor_deg, network_ceiling_deg: what a stated sigma is kept within. network_memory_s: of the
-    filter that smooths the network's poses (`hybrid.refinement.smoothed`); 0 leaves them. step_sigma_deg:
-    change of the refinement (network's joint to ours) in one second, growing with the root of time; it
-    keeps its momentum over step_memory_s.
-    positions: whether the predicted sensor positions count. With the shipped DIP they make validation
-    errors 3 % larger (sip_deg): the network has read the same accelerations already.
-    position_gate_sigma: predicted positions further off are refused; after restart_after_s of refusals
-    in a row the sensor's filter starts anew. position_robust_sigma: beyond it the cost is linear.
-    rate_limit_deg_s: of any component of a joint's rotation vector. gap_s: a longer silence of the clock
-    restarts the filters. spine: whether the trunk's joints move too. translation: whether the root's path
-    is replaced by that of the contact filter.
+    orientation_sigma_deg: of a measured bone orientation (mounting, heading, soft tissue).
+    network_sigma_deg: of a joint for which the network states none; one number or 24.
+    network_scale: factor on what the network states; one number or 24.
+    network_floor_deg: least sigma that is believed.
+    network_ceiling_deg: greatest sigma that is used.
+    network_memory_s: of the filter that smooths the network's poses (`hybrid.refinement.smoothed`); 0: none.
+    step_sigma_deg: change of the refinement (network's joint to ours) in one second, growing as the
+    root of time.
+    step_memory_s: how long that change keeps its momentum.
+    positions: whether the predicted sensor positions count. With the shipped DIP they make validation errors
+    3 % larger (sip_deg): the network has read the same accelerations already.
+    position_gate_sigma: predicted positions further off are refused.
+    position_robust_sigma: beyond it the cost of a predicted position is linear.
+    restart_after_s: of refusals in a row, after which a sensor's filter starts anew.
+    rate_limit_deg_s: of any component of a joint's rotation vector.
+    gap_s: a longer silence of the clock restarts the filters.
+    spine: whether the trunk's joints move too.
+    translation: whether the root's path is replaced by that of the contact filter.
+    filter_noise: of the sensors' motion filters.
     """
 
     orientation_sigma_deg: float = 8.0

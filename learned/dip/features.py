@@ -12,7 +12,7 @@ from torch import Tensor
 
 from learned.config import Normalisation
 from learned.features import project
-from learned.kinematics import rot_y
+from learned.tree import rot_y
 from mocap.evaluation.metrics import DIP_JOINTS
 
 

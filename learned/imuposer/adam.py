@@ -32,9 +32,11 @@ CHAINS: dict[int, tuple[int, ...]] = {
 
 @dataclass(frozen=True)
 class AdamSettings:
-    """steps: per frame (4.4). learning_rate: rad per step, about; the paper states none, this
-    one is from validation clips (`benchmarks/networks.py --adam`). The rest are
-    Adam's own constants."""
+    """steps: per frame (4.4).
+    learning_rate: rad per step, about; the paper states none, this one is from validation clips
+    (`benchmarks/networks.py --adam`).
+    beta1, beta2, epsilon: Adam's own constants.
+    """
 
     steps: int = 10
     learning_rate: float = 0.02

@@ -9,7 +9,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from learned.kinematics import from_6d, to_6d
+from learned.tree import from_6d, to_6d
 
 ACC_SCALE = 30.0  # m/s^2, divisor of accelerations (4.2)
 ACC_WINDOW = 5  # frames of the mean over accelerations (4.2); centred: ours

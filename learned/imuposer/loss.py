@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from learned.imuposer.features import imuposer_pose, imuposer_target
-from learned.kinematics import positions, rotations
+from learned.tree import positions, rotations
 
 
 def loss(out: Tensor, R_parent_joint: Tensor, offsets: Tensor) -> Tensor:

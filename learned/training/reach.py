@@ -14,8 +14,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from learned import kinematics as kin
 from learned import runtime
+from learned import tree as kin
 from learned.model import Model
 from learned.training.validation import Windowed
 

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from learned import kinematics as kin
+from learned import tree as kin
 from learned.online import holding
 from learned.training.validation import held
 from learned.training.virtual import Batch

@@ -16,15 +16,25 @@ from learned.training.augmentation import Augmentation
 class TrainSettings:
     """A training run.
 
-    steps: optimizer steps, at most (None: the clock alone decides). batch, frames: windows per step and
-    their length. learning_rate, decay, decay_steps: the rate is learning_rate * decay ** (step /
-    decay_steps). clip: gradient norm. cooldown: the last share of the steps over which the rate falls
-    linearly to zero as well (0: none, as in the papers). average: decay of the running mean of the
-    weights that is validated and shipped (0: the weights themselves). reconstruct_acc: DIP's second loss
-    (eq. 5). patience: validations without a lesser pose error (`trainer.pose_error`) after which
-    training stops early (0: never). every: steps between validations. bfloat16: mixed precision where it is
-    faster (`training.precision`; False: single precision everywhere). minutes: stop after this long (None: no
-    limit), the cooldown following the clock then.
+    config: what is trained.
+    steps: optimizer steps, at most (None: the clock alone decides).
+    batch: windows per step.
+    frames: of a window.
+    learning_rate: of Adam, at step 0.
+    decay: the rate is learning_rate * decay ** (step / decay_steps).
+    decay_steps: see decay.
+    clip: of the gradient's norm.
+    cooldown: the last share of the run over which the rate falls linearly to zero as well (0: none, as in the
+    papers).
+    average: decay of the running mean of the weights that is validated and shipped (0: the weights alone).
+    reconstruct_acc: whether the loss counts predicted accelerations (DIP's eq. 5), where there are any.
+    patience: validations without a lesser pose error (`trainer.pose_error`) after which training stops (0:
+    never).
+    every: steps between validations.
+    bfloat16: mixed precision where it is faster (`training.precision`); False: single precision everywhere.
+    minutes: stop after this long (None: no limit), the cooldown following the clock then.
+    seed: of windows, dropout and first weights.
+    augmentation: how the motion is varied.
     """
 
     config: Config = field(default_factory=Config)

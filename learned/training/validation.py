@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from learned import kinematics as kin
+from learned import tree as kin
 from learned.model import Model
 from learned.online import holding
 from learned.registry import specification

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import torch
 
 from learned.config import for_network
 from learned.imuposer import combinations
+from learned.imuposer.model import Imuposer
 from learned.imuposer.specification import COMBINATIONS
 from learned.model import build
 from learned.online import holding
@@ -114,15 +116,14 @@ def test_validation_shows_what_is_worn() -> None:
     torch.manual_seed(0)
     model = build(for_network("imuposer", hidden=8)).eval()
     seen: list[torch.Tensor] = []
-    real = val.imuposer_input
+    real = Imuposer.in_turn
 
-    def noting(R: torch.Tensor, acc: torch.Tensor, worn: torch.Tensor) -> torch.Tensor:
-        seen.append(worn)
-        return real(R, acc, worn)
+    def noting(*args: Any) -> torch.Tensor:
+        seen.append(real(*args))
+        return seen[-1]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(val, "imuposer_input", noting)
-        patch.setattr(reach, "imuposer_input", noting)
+        patch.setattr(Imuposer, "in_turn", noting)
         val.score(model, windows)
         reach.inputs(model, windows, 20)
     assert not (seen[0] & ~windows.there).any() and seen[0].any(1).all()

@@ -13,7 +13,7 @@ from learned.dip import features as dip
 from learned.features import DEVIATION_FLOOR, Scaler, project
 from learned.imuposer import features as imuposer
 from learned.imuposer.specification import COMBINATIONS
-from learned.kinematics import rot_y
+from learned.tree import rot_y
 from mocap import orientation as ori
 from mocap.evaluation.metrics import DIP_JOINTS
 

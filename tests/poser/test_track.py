@@ -14,14 +14,16 @@ import numpy as np
 import pytest
 import torch
 
-from hybrid import Tracker
+import learned
+from hybrid import Tracker, TrackerSettings
 from learned import checkpoint
 from learned.config import for_network
 from learned.imuposer.adam import AdamEstimator
 from learned.model import build
 from mocap import Skeleton, sensors, synthesis
+from mocap import orientation as ori
 from mocap.errors import PoserError
-from mocap.estimator import samples
+from mocap.estimator import replay, samples
 from mocap.formats.native import FORMAT
 from mocap.recording import Recording
 from mocap.synthesis import motions
@@ -472,3 +474,20 @@ def test_the_command_line_is_light() -> None:
     code = f"import sys, poser.commands.track; print([m for m in {heavy} if m in sys.modules])"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert out.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize(("name", "network"), [("six", "dip"), ("five", "imuposer")])
+def test_a_tracker_from_python_is_the_command_lines(
+    name: str, network: str, place: Path, tmp_path: Path
+) -> None:
+    weights, out = place / f"{network}.safetensors", tmp_path / "out.npz"
+    line = ["--method", "hybrid", "--network", network, "--weights", str(weights)]
+    assert main(["track", str(place / f"{name}.npz"), "-o", str(out), *line]) == 0
+    recording = files.recording(place / f"{name}.npz")
+    names = sensors.SIX if network == "dip" else ("left_wrist", "right_pocket", "head")
+    own = Tracker(learned.estimator(network, recording.rate_hz, names, weights=weights))
+    run = replay(own, recording)
+    assert own.settings == TrackerSettings.around(own.network)
+    assert (own.settings != TrackerSettings()) == (network == "imuposer")
+    off = ori.angle_between(files.motion(out).R_parent_joint, run.motion.R_parent_joint)
+    assert off.max() < 1e-6

@@ -18,7 +18,6 @@ from learned import checkpoint
 from learned.config import for_network
 from learned.dip.model import Dip
 from learned.errors import CheckpointError, TrainingError
-from learned.kinematics import angle_between
 from learned.model import Model, build
 from learned.registry import NETWORKS
 from learned.training import trainer as module
@@ -26,6 +25,7 @@ from learned.training.parallel import World
 from learned.training.run_folder import Identity, RunFolder
 from learned.training.trainer import Trainer, pose_error
 from learned.training.validation import score
+from learned.tree import angle_between
 from mocap.errors import PoserError
 from mocap.evaluation.metrics import DIP_JOINTS
 from tests.learned.swing import tiny, trainer, validation, wavy, windows
