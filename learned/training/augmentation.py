@@ -21,7 +21,7 @@ class Augmentation:
     scale: 1 sigma of the body's size (log).
     seat_m: 1 sigma of the sensors' seats besides the noise's own.
     noise: of the sensors.
-    noise_scale: (low, high); for every window the noise is multiplied by a number drawn uniformly between them.
+    noise_scale: (low, high); each window's noise is multiplied by a number drawn uniformly between them.
     """
 
     mirror: float = 0.5
