@@ -16,6 +16,7 @@ import torch
 
 from learned import checkpoint
 from learned.config import for_network
+from learned.dip import model as dip_model
 from learned.dip.model import Dip
 from learned.errors import CheckpointError, TrainingError
 from learned.model import Model, build
@@ -37,7 +38,7 @@ NETWORKS = ("dip", "imuposer")
 
 @pytest.fixture(autouse=True)
 def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "_SCALER_BATCHES", 1)
+    monkeypatch.setattr(dip_model, "SCALER_BATCHES", 1)
 
 
 def weights(t: Trainer) -> dict[str, torch.Tensor]:
