@@ -125,6 +125,22 @@ def choice_at(*choices: str) -> Callable[[str], tuple[str, float]]:
     return parse
 
 
+def add_body(parser: ArgumentParser) -> None:
+    """How a body is drawn."""
+    from mocap.body import LOOKS
+
+    parser.add_argument(
+        "--body", choices=LOOKS,
+        help="how bodies look (default: mesh; with --smpl, your SMPL mesh)",
+    )  # fmt: skip
+
+
+def check_body(args: Namespace) -> None:
+    """Raises UsageError for a look that needs a file which was not given."""
+    if args.body == "smpl" and args.smpl is None:
+        raise UsageError("argument --body: smpl needs --smpl FILE, your SMPL body")
+
+
 def add_reading(parser: ArgumentParser, rate_too: bool = True) -> None:
     """What a user may say about a file that the file does not say itself."""
     group = parser.add_argument_group("what the file does not say")
