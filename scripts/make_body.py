@@ -11,7 +11,8 @@ else of it is used. What is done:
 2. Weights: the 31 bones of its CMU rig, each given to one of our joints.
 3. Rest pose: its A-pose is taken to our T-pose by one affine map a joint, that turns and stretches each
    limb onto ours. The rest vertices are those that linear blend skinning takes back to the A-pose as
-   it was modelled: v_T = (sum_j w_j B_j^-1)^-1 v_A, so that arms that hang look right and not only arms in the T-pose.
+   it was modelled: v_T = (sum_j w_j B_j^-1)^-1 v_A, so that arms that hang look right and not only
+   arms in the T-pose.
 4. Fewer vertices, mostly at head, hands and feet; of the weights the four largest.
 """
 
