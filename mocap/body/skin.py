@@ -34,6 +34,15 @@ class Skin:
         turn = (self.weights @ flat).reshape(*R.shape[:-3], len(self.vertices), 3, 3)
         return np.asarray((turn @ self.vertices[..., None])[..., 0] + self.weights @ shift)
 
+    def normals(self, vertices: Array) -> Array:
+        """Unit normals (V,3) at `vertices` (V,3), outwards: the mean of the faces around, by their area."""
+        corner = vertices[self.faces]
+        n = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+        at = self.faces.ravel()
+        sums = [np.bincount(at, np.repeat(n[:, k], 3), minlength=len(vertices)) for k in range(3)]
+        out = np.stack(sums, axis=-1)
+        return np.asarray(out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-12))
+
     def largest(self, count: int = 4) -> tuple[NDArray[np.int64], Array]:
         """The `count` joints (V,count) that move each vertex most and their weights, which sum to 1."""
         joints = np.argsort(-self.weights, axis=1, kind="stable")[:, :count]

@@ -87,17 +87,3 @@ def hits(seen: Array, faces: NDArray[np.int32], size: tuple[int, int], cull: boo
     first[pixel[order]] = order
     best = first[first >= 0]
     return Hits(pixel[best], kept[which[best]], share[best], 1.0 / near[best])
-
-
-def normals(vertices: Array, faces: NDArray[np.int32]) -> Array:
-    """Unit normals (V,3) of vertices: the mean of their triangles', weighted by area."""
-    corner = vertices[faces]
-    n = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    out = np.stack(
-        [
-            np.bincount(faces.ravel(), np.repeat(n[:, k], 3), minlength=len(vertices))
-            for k in range(3)
-        ],
-        axis=-1,
-    )
-    return np.asarray(out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-12))
