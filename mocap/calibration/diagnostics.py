@@ -21,7 +21,7 @@ from mocap.findings import Finding, Severity
 from mocap.recording import RawRecording, gaps
 
 if TYPE_CHECKING:
-    from mocap.calibration.calibrate import Calibration
+    from mocap.calibration.procedure import Calibration
 
 __all__ = ["Finding", "Severity", "check_before", "check_result", "diagnose", "ordered", "summary"]
 

@@ -59,7 +59,7 @@ def find(
 ) -> PoseFacing:
     """The facing in the pose `static`, `window`, in which bones have R_world_bone `bones` (S,3,3).
 
-    arms_hang: whether the arms hang in it. facing (deg), axes, second: see `mocap.calibration.calibrate`.
+    arms_hang: whether the arms hang in it. facing (deg), axes, second: see `mocap.calibration.procedure`.
     Raises CalibrationError where the second pose lies outside the recording or an axis is unknown.
     """
     told, doubts = _second_pose(raw, static, bones, second) if second else ([], [])

@@ -52,12 +52,12 @@ def test_an_elbow_by_hand(tmp_path: Path) -> None:
 
 
 def test_angles_turn_in_the_order_of_the_skeleton(tmp_path: Path) -> None:
-    """rx ry rz is Rz Ry Rx: the head, 90 deg about x and then about z, has its y axis along z.
+    """rx ry rz is Rz Ry Rx: the chest, 90 deg about x and then about z, has its y axis along z.
 
     Rz Ry Rx y = Rz (0, 0, 1) = z, whereas Rx Ry Rz y would be -x.
     """
-    m = read(a_trial(tmp_path, [{"head": "90 0 90"}] * 2))
-    np.testing.assert_allclose(m.R_world_joint[0, J["head"]][:, 1], (0, 0, 1), atol=1e-9)
+    m = read(a_trial(tmp_path, [{"thorax": "90 0 90"}] * 2))
+    np.testing.assert_allclose(m.R_world_joint[0, J["spine3"]][:, 1], (0, 0, 1), atol=1e-9)
 
 
 def test_legs_spread_at_zero_angles(tmp_path: Path) -> None:
@@ -181,7 +181,7 @@ def skeleton_of(replace: Callable[[str], str]) -> Callable[[Path], Path]:
 
 AMC = {
     "cut inside a frame": (lambda s: s[: int(0.8 * len(s))], "frame 3"),
-    "cut before frame 1": (lambda s: s[:40], "no line '1'"),
+    "cut before frame 1": (lambda s: s[:40], "no line that is a frame's number"),
     "no skeleton's bone": (lambda s: s.replace("lradius", "antenna"), "'antenna'"),
     "not a number": (lambda s: s.replace("lradius 0", "lradius abc"), "'abc', expected a number"),
     "nan": (lambda s: s.replace("lradius 0", "lradius nan"), "rx is nan"),
@@ -192,8 +192,8 @@ AMC = {
     ),
     "a frame missing": (lambda s: s.replace("\n2\n", "\n7\n"), "found '7', expected '2'"),
     "a bone twice": (lambda s: s.replace("ltibia 0", "lradius 0", 1), "'lradius' occurs twice"),
-    "nothing": (lambda s: "", "no line '1'"),
-    "garbage": (lambda s: "\x01\x02 garbage" * 50, "no line '1'"),
+    "nothing": (lambda s: "", "no line that is a frame's number"),
+    "garbage": (lambda s: "\x01\x02 garbage" * 50, "no line that is a frame's number"),
     "degrees said to be radians": (
         lambda s: s.replace(":DEGREES", ":RADIANS").replace("lradius 0", "lradius 90", 1),
         "frame 1, bone lradius: an angle is 90, expected radians",
