@@ -7,8 +7,8 @@ exporting tool chose, so a constant per joint turns them into ours:
 
 U turns the source's world to y up. F_j is the neutral frame: its columns are our axes in the local axes of
 the source joint when the body stands in the T-pose (straight arms level with palms down, straight legs, feet
-flat and forward). It comes from the rest pose, from a T-pose in frame 0 or from geometry (`_neutral`), and from
-what is known of the rig (`_rigs`). With M = I every one of our rotations is the identity in the T-pose.
+flat and forward). It comes from the rest pose, from a T-pose in frame 0 or from geometry (`_neutral`), and
+from what is known of the rig (`_rigs`). With M = I every one of our rotations is the identity in the T-pose.
 
 Thighs, shanks, upper arms and forearms have an M_j that makes their directions equal the source's in every
 frame: N_j S_j^T, where S_j turns the T-pose's straight limb into that of our rest pose, and N_j is the
