@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from poser.console import UsageError
+from poser.exports import LOOKS
 
 if TYPE_CHECKING:
     from mocap.formats import Options
@@ -127,8 +128,6 @@ def choice_at(*choices: str) -> Callable[[str], tuple[str, float]]:
 
 def add_body(parser: ArgumentParser) -> None:
     """How a body is drawn."""
-    from mocap.body import LOOKS
-
     parser.add_argument(
         "--body", choices=LOOKS,
         help="how bodies look (default: mesh; with --smpl, your SMPL mesh)",
