@@ -4,8 +4,8 @@ Pairs: CMU's trials that exist as AMC and as Daz or MotionBuilder BVH. The angle
 relative to the pelvis, mean over the frames in which neither file has a fault, then over trials. The Daz
 profile (`mocap/formats/_rigs.py`) was estimated on some subjects; the others stand apart.
 
-Standing: trunk and legs upright within 15 and 20 deg. The angle of the mean rotation of neck, head and collars
-relative to the chest, and how far their y axes lean in the world.
+Standing: trunk and legs upright within 15 and 20 deg. The angle of the mean rotation of neck, head and
+collars relative to the chest, and how far their y axes lean in the world.
 
 Mean pose: of the training set, each clip alike, relative to the parent joint.
 """
@@ -62,7 +62,7 @@ def overlap(lag: int, a: int, b: int) -> tuple[slice, slice]:
     return slice(i, i + n), slice(j, j + n)
 
 
-def compare(pair: Pair) -> tuple[str, int, Array, Array] | None:
+def compare(pair: Pair) -> tuple[str, int, Array, float] | None:
     """Trial, lag, mean angles (24,) deg, and the share of frames used; None where nothing overlaps."""
     (a, ok_a, start_a), (b, ok_b, start_b) = (rotations(c) for c in pair)
     a, b = relative(a), relative(b)
@@ -79,14 +79,14 @@ def compare(pair: Pair) -> tuple[str, int, Array, Array] | None:
     if not good.any():
         return None
     angles = np.degrees(ori.angle_between(a[i][good], b[j][good])).mean(axis=0)
-    return pair[0].name, lag, angles, np.array(good.mean())
+    return pair[0].name, lag, angles, float(good.mean())
 
 
 LIMBS = [JOINTS.index(f"{s}_{n}") for s in ("left", "right")
          for n in ("knee", "ankle", "shoulder", "elbow")]  # fmt: skip
 
 
-def table(found: dict[str, tuple[Array, ...]], left_out: Sequence[str]) -> Iterator[str]:
+def table(found: dict[str, tuple[int, Array, float]], left_out: Sequence[str]) -> Iterator[str]:
     """Lines: each joint's mean and worst trial, and the mean over joints but `left_out`."""
     groups = {
         "all": list(found.values()),
@@ -127,9 +127,9 @@ def show_pairs(pool: ProcessPoolExecutor) -> None:
 
 def standing(clip: Clip) -> Array | None:
     """R_world_joint (T,24,3,3) of the upright frames of a clip; None where they are fewer than 20."""
-    R, good, _ = rotations(clip)
+    R, trusted, _ = rotations(clip)
     up = R[..., 1, 1]
-    good &= (up[:, [0, 9]] > np.cos(np.radians(15))).all(axis=1)
+    good = trusted & (up[:, [0, 9]] > np.cos(np.radians(15))).all(axis=1)
     good &= (up[:, [1, 2, 4, 5]] > np.cos(np.radians(20))).all(axis=1)
     return R[good][::10] if good.sum() >= 20 else None
 
@@ -141,21 +141,21 @@ def show_standing(pool: ProcessPoolExecutor, clips: list[Clip]) -> None:
     for clip, R in zip(clips, pool.map(standing, clips, chunksize=4), strict=True):
         if R is not None:
             by_source[clip.source].append(R)
+    joints = [JOINTS.index(n) for n in STANDING]
     for source, found in by_source.items():
         print(f"{source}: {len(found)} clips")
         print(row((f"{'':24s}", *STANDING), widths))
-        chest = [np.swapaxes(R[:, [9]], -1, -2) @ R for R in found]
-        joints = [JOINTS.index(n) for n in STANDING]
-        mean = ori.mean(np.stack([ori.mean(C[:, joints]) for C in chest]))
+        for name, above in (("chest", [9] * len(joints)), ("parent", [PARENTS[j] for j in joints])):
+            turn = [ori.mean(np.swapaxes(R[:, above], -1, -2) @ R[:, joints]) for R in found]
+            mean = ori.mean(np.array(turn))
+            about_x = np.degrees(ori.log(mean))[:, 0]
+            for said, v in (
+                (f"mean, to the {name}", np.degrees(ori.angle(mean))), ("  of it about x", about_x),
+            ):  # fmt: skip
+                print(row((f"{said:24s}", *(f"{x:.1f}" for x in v)), widths))
         lean = [np.degrees(np.arccos(np.clip(R[:, joints, 1, 1], -1, 1))).mean(0) for R in found]
-        about_x = np.degrees(ori.log(mean))[:, 0]
-        cells = {
-            "mean rotation to chest": np.degrees(ori.angle(mean)),
-            "  of it about x": about_x,
-            "lean in the world": np.mean(lean, axis=0),
-        }
-        for name, values in cells.items():
-            print(row((f"{name:24s}", *(f"{v:.1f}" for v in values)), widths))
+        cells = (f"{v:.1f}" for v in np.mean(lean, axis=0))
+        print(row((f"{'lean in the world':24s}", *cells), widths))
 
 
 def local(clip: Clip) -> Array | None:
@@ -181,9 +181,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--every", type=int, default=4, help="of the training clips every so many")
+    parser.add_argument("--collections", default="cmu,bandai", help="of the training clips")
     parser.add_argument("--only", default="pairs,standing,mean")
     args = parser.parse_args()
-    training = dataset.select("train")[:: args.every]
+    training = dataset.select("train", args.collections.split(","))[:: args.every]
     with ProcessPoolExecutor(args.workers) as pool:
         if "pairs" in args.only:
             show_pairs(pool)

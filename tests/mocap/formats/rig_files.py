@@ -1,15 +1,15 @@
-"""One motion of our body, written as the tools of the field would write it: with their joints, rest poses and
-local axes.
+"""One motion of our body, written as the tools of the field would write it.
 
-In the T-pose (straight arms level with palms down, straight legs, feet level and forward) a bone of a tool has
-its own axes F_j^T in ours. From there bones turn by B_j(t) = R_j(t) S_j, where S_j turns the T-pose's straight
-limb into that of our rest pose, so the tool's joint has the world rotation B_j F_j^T.
+They have their own joints, rest poses and local axes. In the T-pose (straight arms level with palms down,
+straight legs, feet level and forward) a tool's joint has the axes F_j^T in ours. From there bones turn by
+B_j(t) = R_j(t) S_j, where S_j turns the T-pose's straight limb into that of our rest pose, so the tool's
+joint has the world rotation B_j F_j^T.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +21,8 @@ from mocap.synthesis import motions
 from tests.mocap.formats import motion_files as files
 
 RATE = 120.0
+# Another order than that of the joints, as in the Daz files: bodies that lie are no pole of it.
+ROOT_CHANNELS = "6 Xposition Yposition Zposition Zrotation Yrotation Xrotation"
 J = {name: j for j, name in enumerate(JOINTS)}
 SIDES = (("left", 1.0), ("right", -1.0))
 _NO_TURN = np.eye(3)
@@ -69,12 +71,12 @@ def straight(rest: np.ndarray = REST) -> np.ndarray:
 
 
 def t_pose() -> dict[str, np.ndarray]:
-    """Where joints lie in the T-pose, in m from the pelvis: our lengths, and other ends of neck and collars."""
+    """Where joints lie in the T-pose, in m from the pelvis; neck and collars do not slant as ours."""
     at = {"pelvis": np.zeros(3)}
-    own = {"neck": (0, 0.24, 0), "head": (0, 0.1, 0)}
-    for s, side in SIDES:
-        own |= {f"{s}_collar": (side * 0.03, 0.2, 0), f"{s}_shoulder": (side * 0.15, 0, 0)}
-        own |= {f"{s}_foot": (0, -0.06, 0.13), f"{s}_hand": (side * 0.09, 0, 0)}
+    own: dict[str, tuple[float, ...]] = {"neck": (0, 0.24, 0), "head": (0, 0.1, 0)}
+    for s, left in SIDES:
+        own |= {f"{s}_collar": (left * 0.03, 0.2, 0), f"{s}_shoulder": (left * 0.15, 0, 0)}
+        own |= {f"{s}_foot": (0, -0.06, 0.13), f"{s}_hand": (left * 0.09, 0, 0)}
     for j, name in enumerate(JOINTS[1:], 1):
         bone = REST[j] - REST[PARENTS[j]]
         side, _, stem = name.partition("_")
@@ -88,7 +90,7 @@ def t_pose() -> dict[str, np.ndarray]:
 
 @dataclass(frozen=True)
 class Joint:
-    """A tool's joint. plays: our joint that it turns with; at: where it lies in the T-pose, from our pelvis."""
+    """A tool's joint. plays: our joint that it turns with; at: where it lies in the T-pose, in m."""
 
     name: str
     parent: str
@@ -122,10 +124,22 @@ class Rig:
             return np.zeros(3)
         return np.asarray(self.frame(above) @ (joint.at - above.at) / self.unit_m)
 
+    def _root_place(self, G: np.ndarray) -> np.ndarray:
+        """From the pelvis to the joint without parent (T,3), along the chain that leads there."""
+        by_name = {j.name: k for k, j in enumerate(self.joints)}
+        k = next(k for k, j in enumerate(self.joints) if j.plays == "pelvis")
+        p = np.zeros((len(G), 3))
+        while self.joints[k].parent:
+            above = by_name[self.joints[k].parent]
+            p = p - G[:, above] @ self.offset(self.joints[k])
+            k = above
+        return p
+
     def bvh(self, motion: Motion, first: np.ndarray | None = None) -> str:
         """The motion as BVH. first (K,3,3): world rotations of a T-pose frame put before it."""
         G = self.rotations(motion)
         p = motion.p_world_root / self.unit_m
+        p = p + self._root_place(G)
         if first is not None:
             G, p = np.concatenate([first[None], G]), np.concatenate([p[:1], p])
         lines, order = ["HIERARCHY"], []
@@ -140,8 +154,8 @@ class Rig:
             order.append(k)
             lines.append(f"{'JOINT' if j.parent else 'ROOT'} {j.name}\n{{")
             lines.append("OFFSET " + " ".join(f"{x:.6f}" for x in self.offset(j)))
-            moves = "3" if j.parent else "6 Xposition Yposition Zposition"
-            lines.append(f"CHANNELS {moves} Zrotation Xrotation Yrotation")
+            moves = "3 Zrotation Xrotation Yrotation" if j.parent else ROOT_CHANNELS
+            lines.append(f"CHANNELS {moves}")
             children = [c for c, other in enumerate(self.joints) if other.parent == j.name]
             for child in children:
                 visit(child)
@@ -149,9 +163,14 @@ class Rig:
                 lines.append("End Site\n{\nOFFSET 0 0 0\n}")
             lines.append("}")
 
-        visit(0)
-        angles = Rotation.from_matrix(local[:, order].reshape(-1, 3, 3)).as_euler("ZXY", True)
-        rows = np.concatenate([p, angles.reshape(len(G), -1)], axis=1)
+        visit(next(k for k, j in enumerate(self.joints) if not j.parent))
+        angles = [
+            Rotation.from_matrix(local[:, k]).as_euler(
+                "ZXY" if self.joints[k].parent else "ZYX", True
+            )
+            for k in order
+        ]
+        rows = np.concatenate([p, *angles], axis=1)
         lines += ["MOTION", f"Frames: {len(rows)}", f"Frame Time: {1 / motion.rate_hz:.9f}"]
         return "\n".join([*lines, *(" ".join(f"{x:.6f}" for x in r) for r in rows), ""])
 
@@ -193,6 +212,17 @@ mixamorig:{s}Leg mixamorig:{s}UpLeg {side}_knee
 mixamorig:{s}Foot mixamorig:{s}Leg {side}_ankle
 mixamorig:{s}ToeBase mixamorig:{s}Foot {side}_foot
 """)
+
+
+def from_the_head(rig: Rig) -> Rig:
+    """A Mixamo-like rig whose hierarchy begins at the head: neck, trunk and hips hang below it."""
+    stem = "mixamorig:"
+    above = dict(zip(("Neck", "Spine2", "Spine1", "Spine", "Hips"),
+                     ("Head", "Neck", "Spine2", "Spine1", "Spine"), strict=True))  # fmt: skip
+    parent = {stem + child: stem + p for child, p in above.items()} | {f"{stem}Head": ""}
+    joints = [replace(j, parent=parent.get(j.name, j.parent)) for j in rig.joints]
+    return replace(rig, joints=tuple(joints))
+
 
 # Xsens: four joints in the spine, where MVNX has the segments L5, L3, T12 and T8.
 XSENS = _rig("""
@@ -276,7 +306,7 @@ head neck head
 
 
 def _along_x() -> dict[str, np.ndarray]:
-    """Our axes in those of a rig whose local x runs along each bone, backward along those of the right side."""
+    """Our axes in those of a rig whose local x runs along each bone, backward on the right side."""
     F = {n: to(np.array((0, 1.0, 0)), np.array((1.0, 0, 0)))
          for n in ("pelvis", "spine1", "spine3", "neck", "head")}  # fmt: skip
     quarter = Rotation.from_euler("x", 90, True).as_matrix()
