@@ -337,6 +337,23 @@ Toes_{L} Foot_{L} {side}_foot
 """, _along_x())  # fmt: skip
 
 
+# Bandai-Namco's bones, and how neck, head, collars and feet lie in them, rounded to a degree.
+_BANDAI_OFFSETS = {"Neck": (16.3773, 0.0, 0.0)} | {
+    f"{bone}_{letter}": (sign * x, 0.0, 0.0)
+    for letter, sign in (("L", 1.0), ("R", -1.0))
+    for bone, x in (("LowerLeg", 39.0811), ("Foot", 40.9854), ("LowerArm", 24.3286),
+                    ("Hand", 22.2916), ("UpperArm", 5.34809))
+}  # fmt: skip
+_BANDAI_F = {
+    name: Rotation.from_rotvec(v, degrees=True).as_matrix() for name, v in {
+        "neck": (-70, -68, -72), "head": (-70, -68, -73), "left_collar": (1, -18, 4),
+        "right_collar": (-177, -11, -24), "left_ankle": (40, 41, 83),
+        "right_ankle": (-98, -96, 48), "left_foot": (51, 52, 79), "right_foot": (-87, -86, 59),
+    }.items()
+}  # fmt: skip
+BANDAI = replace(ALONG_X, F=ALONG_X.F | _BANDAI_F, offsets=_BANDAI_OFFSETS)
+
+
 def write_motionbuilder(folder: Path, motion: Motion) -> Path:
     """A T-pose as frame 0, then the motion."""
     rig = MOTIONBUILDER
@@ -437,5 +454,12 @@ WRITERS: dict[str, Callable[[Path, Motion], Path]] = {
     "xsens-bvh": _bvh("xsens", XSENS),
     "mvnx": write_mvnx,
     "along-x": _bvh("along_x", ALONG_X),
+    "bandai": _bvh("bandai", BANDAI),
 }
-RIGS = {"motionbuilder": MOTIONBUILDER, "mixamo": MIXAMO, "xsens-bvh": XSENS, "along-x": ALONG_X}
+RIGS = {
+    "motionbuilder": MOTIONBUILDER,
+    "mixamo": MIXAMO,
+    "xsens-bvh": XSENS,
+    "along-x": ALONG_X,
+    "bandai": BANDAI,
+}

@@ -26,12 +26,12 @@ TWO = {"spine1": 8.0, "spine2": 16.0}
 TOLERANCE: dict[str, dict[str, float]] = {
     "amc": {}, "motionbuilder": {}, "mixamo": {}, "mvnx": {},
     "xsens-bvh": {"spine2": 8.0},
-    "along-x": TWO,
+    "along-x": TWO, "bandai": TWO,
     "daz": TWO | {"left_foot": 60.0, "right_foot": 60.0},
 }  # fmt: skip
 # Their constants are found from the file (or stated to a tenth of a degree).
 EXACT = 0.01
-ROUNDED = {"daz": 1.5}  # the file's constants are whole degrees
+ROUNDED = {"daz": 1.5, "bandai": 1.5}  # constants of these files are whole degrees
 
 
 @pytest.fixture(scope="module")
@@ -119,7 +119,12 @@ def test_a_take_as_mvnx_and_bvh(documents: dict[str, Document]) -> None:
 
 @pytest.mark.parametrize(
     ("form", "said"),
-    [("amc", "CMU's skeleton"), ("motionbuilder", "CMU's skeleton"), ("daz", "Daz-friendly")],
+    [
+        ("amc", "CMU's skeleton"),
+        ("motionbuilder", "CMU's skeleton"),
+        ("daz", "Daz-friendly"),
+        ("bandai", "Bandai-Namco"),
+    ],
 )
 def test_rigs_are_recognised(documents: dict[str, Document], form: str, said: str) -> None:
     """By bones and names; a rig with other bones is not taken for one."""
