@@ -96,8 +96,8 @@ def mend(motion: Motion) -> Mended:
     solutions that path through the frames is taken that turns the least from frame to frame and twists the
     bone the least beyond `TWIST_DEG`. Of wrists and ankles that are away for less than `BRIDGED_S` the
     rotation is interpolated. Frames are not trusted beside a jump that is left, between two of one joint less
-    than `BETWEEN_S` apart, from one to an end of the clip that is less than `END_S` away, and where a joint is
-    turned beyond `BEYOND_DEG` or was less than `BETWEEN_S` ago and soon is again.
+    than `BETWEEN_S` apart, from one to an end of the clip that is less than `END_S` away, where a joint is
+    turned beyond `BEYOND_DEG`, and between two such frames less than `BETWEEN_S` apart.
     """
     work = _Work(motion)
     for limb in _LIMBS:
