@@ -35,7 +35,8 @@ LOWPASS_HZ = 8.0
 _VERSION = "5"
 # The code that decides which pose a file of captured motion is: where it changes, entries are made anew.
 _READ_BY = (
-    "faults.py", "formats/_asf_text.py", "formats/_bvh_text.py", "formats/_neutral.py",
+    "faults.py", "formats/_asf_text.py", "formats/_bvh_text.py", "formats/_frames.py",
+    "formats/_geometry.py", "formats/_neutral.py", "formats/_rigs.py", "formats/_upright.py",
     "formats/_retarget.py", "formats/_source.py", "formats/asfamc.py", "formats/bvh.py",
 )  # fmt: skip
 
