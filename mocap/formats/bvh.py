@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from mocap.errors import FormatError, ShapeError
-from mocap.formats import Content, Document, Format, Options
+from mocap.formats import Content, Document, Format, Options, _joint_names
 from mocap.formats._bvh_text import BvhFile, parse
 from mocap.formats._files import write_aside
 from mocap.formats._retarget import retarget
@@ -47,10 +47,11 @@ def read(path: Path, options: Options) -> Document:
     file = parse(path, path.read_bytes())
     rate = file.rate_hz if options.rate_hz is None else check_rate(options.rate_hz, str(path))
     if file.names == _OWN_NAMES and file.parents == _OWN_PARENTS and _is_ours(file):
-        return Document("bvh", _read_own(path, file, rate))
+        return Document("bvh", _read_own(path, file, rate), file.assumptions, file.warnings)
     source = _source(path, file, rate, options)
     done = retarget(source, _body(options), options.scale)
-    return Document("bvh", done.motion, done.assumptions, done.warnings)
+    assumed = (*file.assumptions, *done.assumptions, _joint_names.said(source.given))
+    return Document("bvh", done.motion, assumed, (*file.warnings, *done.warnings))
 
 
 def _body(options: Options) -> Skeleton:
@@ -74,8 +75,15 @@ def _source(path: Path, file: BvhFile, rate: float, options: Options) -> Source:
         {i: file.translations(i) for i in moving},
         options.mapping if isinstance(options.mapping, dict) else {},
     )
+    matched = _joint_names.match(still.names, still.given)
+    named = {still.names[i]: joint for joint, i in matched.items()}
+    twice = next((n for n in named if still.names.count(n) > 1), None)
+    if twice is not None:
+        raise FormatError(
+            path, f"joint name {twice!r} occurs more than once; {named[twice]} needs one"
+        )
     joints = needed(still, assign(still))
-    return replace(still.only(joints), R_local=file.rotations(joints))
+    return replace(still.only(joints), R_local=file.rotations(joints), given=named)
 
 
 def _layout() -> tuple[tuple[str, ...], tuple[int, ...], tuple[int, ...]]:
