@@ -25,6 +25,7 @@ from mocap.formats import (
     Format,
     Options,
     _checks,
+    _clock,
     _opensim,
     _physics,
     _text,
@@ -151,7 +152,7 @@ def _merged(path: Path, tables: list[_Table]) -> dict[str, str]:
     return declared
 
 
-def _clock(
+def _timed(
     path: Path, tables: list[_Table], declared: dict[str, str], options: Options
 ) -> tuple[float, list[np.ndarray], int, float, list[str]]:
     """Rate, the frame of every row of every file, number of frames, time of frame 0, doubts."""
@@ -169,8 +170,8 @@ def _clock(
             )
         return given, [np.arange(min(lengths)) for _ in tables], min(lengths), 0.0, doubts
     stamps = [np.asarray(t.t) for t in tables]
-    grids = [_checks.grid(t.path, s, "column t") for t, s in zip(tables, stamps, strict=True)]
-    rates = [g[0] for g in grids]
+    grids = [_clock.grid(t.path, s, "column t") for t, s in zip(tables, stamps, strict=True)]
+    rates = [g.rate_hz for g in grids]
     rate = float(np.median(rates))
     for table, own in zip(tables, rates, strict=True):
         if own < 1:
@@ -181,12 +182,12 @@ def _clock(
         raise FormatError(path, f"runs at {rate:.4g} Hz, {given:g} Hz was said", "column t")
     start = min(float(s[0]) for s in stamps)
     frames = [
-        g[1] + round((float(s[0]) - start) * rate) for g, s in zip(grids, stamps, strict=True)
+        g.frames + round((float(s[0]) - start) * rate) for g, s in zip(grids, stamps, strict=True)
     ]
     span = max(int(f[-1]) for f in frames) + 1
-    if span > _checks.MAX_GROWTH * max(len(s) for s in stamps) + 10:
+    if span > _clock.MAX_GROWTH * max(len(s) for s in stamps) + 10:
         raise FormatError(path, "the files' times hardly overlap", "column t")
-    return rate, frames, span, start, [d for g in grids for d in g[2]]
+    return rate, frames, span, start, [d for g in grids for d in g.doubts]
 
 
 def _placed(values: Sequence[Array | None], frames: list[np.ndarray], T: int, width: int) -> Array:
@@ -290,7 +291,7 @@ def _read(path: Path, options: Options) -> Document:
     files = _files(path) if path.is_dir() else [path]
     tables = [_parse(p) for p in files]
     declared = _merged(path, tables)
-    rate, frames_of, T, start, doubts = _clock(path, tables, declared, options)
+    rate, frames_of, T, start, doubts = _timed(path, tables, declared, options)
     given = _opensim.given(options)
     names = [n for t in tables for n in t.sensors]
     check_mapped(path, options.mapping, names)

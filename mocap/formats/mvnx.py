@@ -17,7 +17,7 @@ import numpy as np
 
 from mocap import orientation as ori
 from mocap.errors import FormatError, ShapeError
-from mocap.formats import Document, Format, Options, _checks, _physics, _text, _xml
+from mocap.formats import Document, Format, Options, _checks, _clock, _physics, _text, _xml
 from mocap.motion import Motion
 from mocap.orientation import Array
 from mocap.recording import Recording
@@ -139,7 +139,8 @@ def _rate(path: Path, take: _Take, options: Options) -> tuple[float, list[str]]:
     times = np.asarray(take.times) / 1000
     rate = options.rate_hz or take.rate_hz
     if np.isfinite(times).all() and len(times) > 1:
-        measured, frames, doubts = _checks.grid(path, times, "time")
+        clock = _clock.grid(path, times, "time")
+        measured, frames, doubts = clock.rate_hz, clock.frames, list(clock.doubts)
         if len(frames) != frames[-1] + 1:
             raise FormatError(path, "frames are missing, expected a constant rate", "time")
         if rate is not None and abs(measured / rate - 1) > 0.05:

@@ -17,7 +17,7 @@ import numpy as np
 
 from mocap import orientation as ori
 from mocap.errors import FormatError
-from mocap.formats import Document, Format, Options, _checks, _opensim, _physics, _text
+from mocap.formats import Document, Format, Options, _checks, _clock, _opensim, _physics, _text
 from mocap.orientation import Array
 from mocap.recording import RawRecording
 
@@ -100,7 +100,7 @@ def _frames(exports: list[_Export]) -> tuple[list[np.ndarray], int, list[str]]:
     counters = [c + WRAP * np.rint((first - c[0]) / WRAP) for c in counters]
     start, stop = min(c[0] for c in counters), max(c[-1] for c in counters) + 1
     span, longest = int(stop - start), max(len(c) for c in counters)
-    if span > _checks.MAX_GROWTH * longest + 10:
+    if span > _clock.MAX_GROWTH * longest + 10:
         raise FormatError(
             exports[0].path.parent if len(exports) > 1 else exports[0].path,
             f"packets span {span} frames, yet no sensor has more than {longest}", _COUNTER,
