@@ -40,7 +40,7 @@ class Table:
         """
         numbers = _text.Rows(self.path, [self.header[i] for i in wanted])
         for number, line in self.rows:
-            if not line.strip():
+            if not line.strip() or line.startswith("#"):
                 continue
             cells = _cells(line, self.delimiter)
             while len(cells) > len(self.header) and not cells[-1]:
@@ -48,7 +48,7 @@ class Table:
             if len(cells) != len(self.header):
                 found = f"{len(cells)} values, expected {len(self.header)}"
                 raise FormatError(self.path, found, f"line {number}")
-            numbers.add(number, [_number(cells[i], self.delimiter) or "nan" for i in wanted])
+            numbers.add(number, [_number(cells[i]) or "nan" for i in wanted])
         table = numbers.table()
         if not len(table):
             raise FormatError(self.path, "no row of data")
@@ -69,18 +69,25 @@ def open_table(path: Path, known: Known, expected: str) -> Table:
             said = line[4:5] or "\t"
         elif line.strip():
             first = first or number
-            for delimiter in (said,) if said else DELIMITERS:
-                cells = _cells(line, delimiter)
-                while cells and not cells[-1]:
-                    cells.pop()
-                if known(cells):
-                    return Table(path, tuple(preamble), tuple(cells), number, delimiter, rows)
+            cut = {d: _header(line, d) for d in ((said,) if said else DELIMITERS)}
+            fits = [d for d, cells in cut.items() if known(cells)]
+            if fits:
+                best = max(fits, key=lambda d: (d is not None, len(cut[d])))
+                return Table(path, tuple(preamble), tuple(cut[best]), number, best, rows)
             preamble.append(line)
         if len(preamble) > MAX_PREAMBLE:
             break
     if not preamble:
         raise FormatError(path, "no row of data")
     raise FormatError(path, f"no column such as {expected}", f"line {first}")
+
+
+def _header(line: str, delimiter: str | None) -> list[str]:
+    """Column names, without the empty ones that a delimiter at the end makes."""
+    cells = _cells(line, delimiter)
+    while cells and not cells[-1]:
+        cells.pop()
+    return cells
 
 
 def _cells(line: str, delimiter: str | None) -> list[str]:
@@ -91,6 +98,6 @@ def _cells(line: str, delimiter: str | None) -> list[str]:
     return [c.strip() for c in line.split(delimiter)]
 
 
-def _number(cell: str, delimiter: str | None) -> str:
-    """A cell with a point as its decimal sign; only quoted ones hold a comma where it is the delimiter."""
+def _number(cell: str) -> str:
+    """A cell with a point as its decimal sign."""
     return cell.replace(",", ".", 1) if "," in cell else cell

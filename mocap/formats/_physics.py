@@ -119,7 +119,7 @@ def _accelerometer(path: Path, rec: RawRecording) -> list[str]:
         if when == "when slow" and size < 3 and mean[s] < 0.25 * size:
             size, when = mean[s], "on average"  # what the orientation turns cancels: no gravity
         elif when == "when slow" and size < 3 and np.isnan(mean[s]) and _free(rec, s, size):
-            raise FormatError(path, f"{size:.3g} {when}{_FREE}", where)
+            raise FormatError(path, f"{size:.3g} {when}{FREE}", where)
         # A sensor that never rests reads up to a few g; its unit is wrong where none could be.
         off = abs(size / GRAVITY - 1) > 0.15 if when == "when still" else bool(_guess(size))
         if off:
@@ -151,7 +151,10 @@ def _free(rec: RawRecording, s: int, size: float) -> bool:
     return size < KEPT * unit_checks.still_gravity(rec.gyr[ok, s], rec.acc[ok, s])[0]
 
 
-_FREE = ", so gravity was removed, and raw acceleration must hold it"
+FREE = (
+    ", so gravity was removed: export the acceleration with gravity, or the orientation (quat_w to quat_z) "
+    "beside it"
+)
 
 
 def _guess(size: float) -> str:
@@ -162,7 +165,7 @@ def _guess(size: float) -> str:
         return ", so it was m/s^2 already (--units m/s^2)"
     if abs(size - 1000) < 300:
         return ", so the unit is mg"
-    return _FREE if size < 0.5 else ""
+    return FREE if size < 0.5 else ""
 
 
 def _swing(rec: RawRecording | Recording) -> float:

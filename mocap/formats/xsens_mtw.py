@@ -135,8 +135,8 @@ def _names(folder: Path, exports: list[Export]) -> list[str]:
     numbers = [next((w for w in reversed(s) if _DEVICE.fullmatch(w)), s[-1]) for s in stems]
     for names in (tags, numbers):
         if all(names) and len(set(names)) == len(names):
-            trials = {tuple(w for w in s if w != n) for s, n in zip(stems, numbers, strict=True)}
-            if names is tags or len(trials) == 1:
+            others = {tuple(w for w in s if w != n) for s, n in zip(stems, numbers, strict=True)}
+            if names is tags or len(others) == 1:
                 return names
     trials = {"_".join(w for w in s if w != n) for s, n in zip(stems, numbers, strict=True)}
     if len(set(numbers)) < len(numbers) or len({len(s) for s in stems}) > 1:
