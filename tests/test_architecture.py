@@ -92,12 +92,6 @@ def circle(graph: dict[str, set[str]]) -> list[str]:
 # Arrows that may close a circle, each with its reason.
 EXCUSED = {
     ("sip.settings", "sip.problem"),  # the type of what the user's own terms are given
-    ("learned.specification", "learned.model"),  # the type of what a specification builds
-    # The types of what a network's class is given: its base names them, nothing runs.
-    ("learned.model", "learned.online.estimator"),
-    ("learned.model", "learned.runtime"),
-    ("learned.model", "learned.training.validation"),
-    ("learned.model", "learned.training.virtual"),
 }
 
 
