@@ -90,7 +90,7 @@ def test_limbs_point_as_in_the_source(clips: dict[str, Path], kind: str, clip: s
     m, source = motion(clips[clip]), files.kinematics(clips[clip])
     dropped = source.frames - len(m)
     # Daz files start with a T-pose that is no part of the motion.
-    assert dropped == (3 if kind == "daz" else 0)
+    assert dropped == (8 if kind == "daz" else 0)
     for side in SIDES:
         at = [source.at[n.format(l=side[0], L=side[0].upper(), s=side.capitalize())][dropped:]
               for n in NAMES[kind]]  # fmt: skip
