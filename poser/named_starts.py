@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import learned
 from mocap.errors import PoserError
 from poser import files
 from poser.console import UsageError, progress
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     from mocap.skeleton import Skeleton
     from sip import Start
 
-NETWORKS = ("dip", "imuposer")
+NETWORKS = tuple(learned.NETWORKS)
 KNOWN = ("prior", *NETWORKS)
 
 

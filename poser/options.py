@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from poser.console import UsageError
+from poser.exports import LOOKS
 
 if TYPE_CHECKING:
     from mocap.formats import Options
@@ -123,6 +124,20 @@ def choice_at(*choices: str) -> Callable[[str], tuple[str, float]]:
         return name, number(seconds)
 
     return parse
+
+
+def add_body(parser: ArgumentParser) -> None:
+    """How a body is drawn."""
+    parser.add_argument(
+        "--body", choices=LOOKS,
+        help="how bodies look (default: mesh; with --smpl, your SMPL mesh)",
+    )  # fmt: skip
+
+
+def check_body(args: Namespace) -> None:
+    """Raises UsageError for a look that needs a file which was not given."""
+    if args.body == "smpl" and args.smpl is None:
+        raise UsageError("argument --body: smpl needs --smpl FILE, your SMPL body")
 
 
 def add_reading(parser: ArgumentParser, rate_too: bool = True) -> None:

@@ -1,16 +1,11 @@
-"""What a body looks like: capsules along the bones, or the user's own SMPL mesh.
-
-Either is a skin: vertices of the rest pose, and for each the joints it moves with,
-v_world = sum_j w_j (R_world_j (v - rest_j) + p_world_j).
-"""
+"""Capsules along the bones: what a body looks like without a mesh."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.body.skin import Skin
 from mocap.orientation import Array
 from mocap.skeleton import JOINTS, TABLE_STATURE, Skeleton
 
@@ -24,32 +19,9 @@ _ENDS = {"head": (0.0, 0.10, 0.02), "left_foot": (0.0, 0.0, 0.06), "right_foot":
          "left_hand": (0.07, 0.0, 0.0), "right_hand": (-0.07, 0.0, 0.0)}  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class Skin:
-    """V vertices (V,3) m of the rest pose with the pelvis joint at the origin, F faces (F,3), weights
-    (V,24) that sum to 1, and rest (24,3) m, the joints of that pose.
-    """
-
-    vertices: Array
-    faces: NDArray[np.int32]
-    weights: Array
-    rest: Array
-
-
-def skin(skeleton: Skeleton) -> Skin:
-    """The SMPL mesh where the skeleton has one, else capsules.
-
-    SMPL's pose blend shapes are left out: the browser knows bones and weights only, which makes a bent
-    elbow a little thinner.
-    """
-    mesh = skeleton.mesh
+def capsule_skin(skeleton: Skeleton) -> Skin:
+    """A capsule for every bone, and for head, hands and feet what is beyond their joints."""
     rest = skeleton.rest_positions - skeleton.rest_positions[0]
-    if mesh is None:
-        return _capsules(skeleton, rest)
-    return Skin(mesh.template - mesh.joints[0], mesh.faces.astype(np.int32), mesh.weights, rest)
-
-
-def _capsules(skeleton: Skeleton, rest: Array) -> Skin:
     scale = skeleton.stature / TABLE_STATURE
     vertices, faces, owners = [], [], []
     count = 0

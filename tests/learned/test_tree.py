@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from learned import kinematics as kin
+from learned import tree as kin
 from mocap import orientation as ori
 from mocap.skeleton import Skeleton
 

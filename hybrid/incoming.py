@@ -1,4 +1,4 @@
-"""What comes in is checked once here: samples and proposals that later code may trust."""
+"""Samples (by `mocap.gate`) and the network's poses are checked once here; later code may trust them."""
 
 from __future__ import annotations
 
@@ -8,21 +8,18 @@ from typing import Any
 
 import numpy as np
 
+from mocap import gate
 from mocap import orientation as ori
 from mocap.estimator import Pose, Sample
 from mocap.orientation import Array
-
-_EYE = np.eye(3)
-LARGEST_ACC = 400.0  # m/s^2; the range of body-worn sensors ends at 16 to 40 g
 
 
 def clean(sample: Any, sensors: int, expected_s: float) -> tuple[Sample, dict[str, int]]:
     """The sample with what cannot be used marked invalid, and counts of what was marked.
 
-    Rotations that are not orthonormal and right-handed within 1e-3: NaN; the others are projected.
-    Accelerations that are not finite or past LARGEST_ACC: NaN. A sensor with neither is not valid. A
-    time that is not finite becomes expected_s. A sample of another shape counts as one in which
-    nothing was measured.
+    Orientations and accelerations that do not pass `mocap.gate` become NaN; orientations that do are
+    projected onto the rotations. A sensor with neither is not valid. A time that is not finite becomes
+    expected_s. A sample of another shape counts as one in which nothing was measured.
     """
     events: dict[str, int] = {}
     time_s = _number(getattr(sample, "time_s", None))
@@ -37,21 +34,18 @@ def clean(sample: Any, sensors: int, expected_s: float) -> tuple[Sample, dict[st
         R, acc = np.full((sensors, 3, 3), np.nan), np.full((sensors, 3), np.nan)
         valid = np.zeros(sensors)
     said = valid > 0
-    # Past 2 no entry belongs to a rotation; clipped first, huge numbers cannot overflow in the check.
-    turns = np.asarray((np.abs(R) < 2).all((-1, -2)))
-    if not _exact(R[turns]):
-        turns[turns] = ori.is_rotation(R[turns])
-        R[turns] = ori.project(R[turns])
-    if not turns.all():
-        broken = int((said & ~turns & np.isfinite(R).all((-1, -2))).sum())
+    turned, moved, exact = gate.judge(R, acc, said)
+    if not turned.all():
+        broken = int((said & ~turned & np.isfinite(R).all((-1, -2))).sum())
         if broken:
             events["not a rotation"] = broken
-    moves = (np.abs(acc) <= LARGEST_ACC).all(-1)
-    valid_now = said & (turns | moves)
+    if not exact:
+        R[turned] = ori.project(R[turned])
+    valid_now = turned | moved
     if not valid_now.all():
         events["sensor lost"] = int((~valid_now).sum())
-    R[~(valid_now & turns)] = np.nan
-    acc[~(valid_now & moves)] = np.nan
+    R[~turned] = np.nan
+    acc[~moved] = np.nan
     return Sample(time_s, R, acc, valid_now), events
 
 
@@ -62,7 +56,7 @@ def proposal(pose: Any) -> Pose | None:
     p = _array(getattr(pose, "p_world_root", None), (3,))
     if time_s is None or R is None or not (np.abs(R) < 10).all():
         return None
-    if not _exact(R):
+    if not gate.exact(R):
         # A matrix that is far from any rotation has no nearest one worth the name.
         if not (np.linalg.det(R) > 0.1).all():
             return None
@@ -81,12 +75,6 @@ def sample_at(samples: Sequence[Sample], time_s: float, tolerance_s: float) -> S
         if off <= tolerance_s and (best is None or off < abs(best.time_s - time_s)):
             best = sample
     return best
-
-
-def _exact(R: Array) -> bool:
-    """Whether all matrices (N,3,3) of bounded entries are rotations but for rounding."""
-    off = np.abs(R.mT @ R - _EYE).max(initial=0.0)
-    return bool(off <= 1e-9 and (np.linalg.det(R) > 0).all())
 
 
 def _covariance(pose: Any) -> Array | None:

@@ -1,34 +1,18 @@
-"""Which of IMUPoser's devices the windows of recordings hold, and which combination they are shown with.
+"""Which of the combinations of devices windows of recordings hold, and which one they are shown with.
 
 A recording rarely has all five places, and devices come and go. A place without a device is no input of zeros
-that was measured: a network must neither learn from combinations with it nor be judged by them.
+that was measured: the network must neither learn from combinations with it nor be judged by them.
 """
 
 from __future__ import annotations
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
-from learned.features import COMBINATIONS
-from learned.online.intake import HOLD_S
-from mocap.recording import Recording
+from learned.imuposer.specification import COMBINATIONS
 
 _MASKS = torch.tensor([[p in c for p in range(5)] for c in COMBINATIONS])  # (24,5)
-
-
-def there(recording: Recording) -> NDArray[np.bool_]:
-    """(T,S): the sensors that the online runner takes for worn (`learned.online.intake.Held.present`): with a
-    valid orientation in the `HOLD_S` before; or the first one in those after, which stands for what was
-    before it.
-    """
-    ok, hold = recording.ori_valid, HOLD_S * recording.rate_hz + 1e-6
-    t = np.arange(len(ok))[:, None]
-    last = np.maximum.accumulate(np.where(ok, t, -np.inf), axis=0)
-    first = np.where(ok.any(0), ok.argmax(0), np.inf)
-    out: NDArray[np.bool_] = (t - last <= hold) | ((first > t) & (first - t <= hold))
-    return out
 
 
 def possible(there: Tensor) -> Tensor:

@@ -1,7 +1,8 @@
 """Samples as they come: what cannot be used is replaced by the last value that could.
 
-Clocks of live sources stutter and jump. `Intake.time_s` is a clock of our own that always advances: by what
-the time stamps say where that is plausible, else by one nominal period.
+What counts is decided by `mocap.gate`. Clocks of live sources stutter and jump. `Held.time_s` is a clock
+of our own that always advances: by what the time stamps say where that is plausible, else by one nominal
+period.
 """
 
 from __future__ import annotations
@@ -11,9 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap import orientation as ori
+from mocap import gate
 from mocap.estimator import Sample
 from mocap.orientation import Array
+from mocap.recording import Recording
 
 HOLD_S = 0.5  # a loss up to this long holds the last value; after it the sensor counts as lost
 GAP_S = 0.5  # a step of the clock beyond this is a jump: no motion is invented for it
@@ -44,17 +46,12 @@ class Held:
 def take(before: Held | None, sample: Sample, rate_hz: float) -> Held:
     """The sensors after `sample`. Before a sensor's first valid value: identity and zero.
 
-    Orientation and acceleration are held separately (a sample may lack one of them). A matrix that is not
-    a rotation counts as lost.
+    Orientation and acceleration are held separately: a sample may lack one of them.
     """
     S = len(sample.valid)
     R, acc = np.array(sample.R_world_bone, float), np.array(sample.acc_world, float)
     valid = np.asarray(sample.valid, bool)
-    R[~np.isfinite(R).all((-1, -2))] = 0.0  # fails the next test, without a warning of the SVD's
-    # An entry beyond 2 is no rotation's, and its products could overflow.
-    turned = valid & (np.abs(R) < 2).all((-1, -2))
-    turned[turned] = ori.is_rotation(R[turned])
-    moved = valid & np.isfinite(acc).all(-1) & (np.abs(acc) < 1e4).all(-1)
+    turned, moved, _ = gate.judge(R, acc, valid)
     if before is None:
         start_s = sample.time_s if np.isfinite(sample.time_s) else 0.0
         before = Held(
@@ -75,3 +72,16 @@ def take(before: Held | None, sample: Sample, rate_hz: float) -> Held:
         np.where(turned, now, before.seen_s),
         jumped,
     )
+
+
+def there(recording: Recording) -> NDArray[np.bool_]:
+    """(T,S): the sensors that the online runner takes for worn (`Held.present`):
+    with a valid orientation in the `HOLD_S` before; or the first one in those after, which stands for
+    what was before it.
+    """
+    ok, hold = recording.ori_valid, HOLD_S * recording.rate_hz + 1e-6
+    t = np.arange(len(ok))[:, None]
+    last = np.maximum.accumulate(np.where(ok, t, -np.inf), axis=0)
+    first = np.where(ok.any(0), ok.argmax(0), np.inf)
+    out: NDArray[np.bool_] = (t - last <= hold) | ((first > t) & (first - t <= hold))
+    return out
