@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from mocap.errors import FormatError, PoserError
 from poser.console import UsageError, note
+from poser.exports import WRITERS, Export
 
 if TYPE_CHECKING:
     import numpy as np
@@ -253,8 +254,10 @@ def write(
     content: Content,
     extra: Mapping[str, np.ndarray] | None = None,
     timed: bool = False,
+    export: Export | None = None,
 ) -> None:
-    """A motion as AMASS-style `.npz` or `.bvh`, a recording as native `.npz`: whole or not at all.
+    """A motion as AMASS-style `.npz` or for another tool (`exports.WRITERS`), a recording as native `.npz`:
+    whole or not at all.
 
     timed: a motion's `start_s` is known to be the recording's and is stated even where it is 0.
     """
@@ -262,10 +265,8 @@ def write(
     from mocap.motion import Motion
 
     if isinstance(content, Motion):
-        if path.suffix.lower() == ".bvh":
-            from mocap.formats.bvh import write_motion as write_bvh
-
-            write_bvh(path, content)
+        if path.suffix.lower() in WRITERS:
+            WRITERS[path.suffix.lower()](path, content, export or Export())
         elif timed or content.start_s:
             native.write_motion(path, content, extra)
         else:

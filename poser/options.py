@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from poser.console import UsageError
+from poser.exports import LOOKS
 
 if TYPE_CHECKING:
     from mocap.formats import Options
@@ -125,6 +126,20 @@ def choice_at(*choices: str) -> Callable[[str], tuple[str, float]]:
     return parse
 
 
+def add_body(parser: ArgumentParser) -> None:
+    """How a body is drawn."""
+    parser.add_argument(
+        "--body", choices=LOOKS,
+        help="how bodies look (default: mesh; with --smpl, your SMPL mesh)",
+    )  # fmt: skip
+
+
+def check_body(args: Namespace) -> None:
+    """Raises UsageError for a look that needs a file which was not given."""
+    if args.body == "smpl" and args.smpl is None:
+        raise UsageError("argument --body: smpl needs --smpl FILE, your SMPL body")
+
+
 def add_reading(parser: ArgumentParser, rate_too: bool = True) -> None:
     """What a user may say about a file that the file does not say itself."""
     group = parser.add_argument_group("what the file does not say")
@@ -136,6 +151,9 @@ def add_reading(parser: ArgumentParser, rate_too: bool = True) -> None:
         )
     group.add_argument(
         "--units", type=units, default=frozenset(), metavar="U,U", help=", ".join(UNITS)
+    )
+    group.add_argument(
+        "--up", choices=("y", "z"), help="the axis that points up, where a motion lies on its side"
     )
     group.add_argument("--smpl", type=file, metavar="FILE", help="your SMPL body file")
     group.add_argument(
@@ -155,6 +173,7 @@ def reading(args: Namespace) -> Options:
         scale=getattr(args, "scale", None),
         rate_hz=getattr(args, "rate", None),
         units=getattr(args, "units", frozenset()),
+        up=getattr(args, "up", None),
         smpl=getattr(args, "smpl", None),
         mapping=getattr(args, "map", None),
     )

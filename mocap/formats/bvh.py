@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from mocap.errors import FormatError, ShapeError
-from mocap.formats import Content, Document, Format, Options, _joint_names
+from mocap.formats import Content, Document, Format, Options, _bvh_profiles, _joint_names
+from mocap.formats._bvh_profiles import PROFILES, RESTS, Profile, Rest
 from mocap.formats._bvh_text import BvhFile, parse
 from mocap.formats._files import write_aside
 from mocap.formats._retarget import retarget
@@ -23,6 +24,9 @@ from mocap.skeleton import JOINTS, PARENTS, REST, STATURE_RANGE, Skeleton
 
 CM = 0.01
 _POSITIONS = ("xposition", "yposition", "zposition")
+# In CMU's MotionBuilder files "LeftHand" only turns about the forearm; the hand bends at the joint below.
+MOTIONBUILDER_HANDS = {f"{s}{n}": f"{s.lower()}_{ours}" for s in ("Left", "Right")
+                       for n, ours in (("FingerBase", "wrist"), ("HandIndex1", "hand"))}  # fmt: skip
 _ORDER = ("zrotation", "xrotation", "yrotation")
 # Where the bones without a joint beyond them end, in m from the joint (for display only).
 _ENDS = {
@@ -40,16 +44,19 @@ def read(path: Path, options: Options) -> Document:
     """The motion in a BVH file, on our body (`options.height` or `options.smpl`, else the table's).
 
     options.scale: m per unit of the file (else guessed from the legs). options.rate_hz overrides the
-    frame time. options.mapping: source joint name to ours, for names that are not recognised.
+    frame time. options.up: the axis that points up (else found). options.mapping: source joint name to
+    ours, for names that are not recognised.
     Raises FormatError naming line, joint or frame.
     """
     path = Path(path)
     file = parse(path, path.read_bytes())
     rate = file.rate_hz if options.rate_hz is None else check_rate(options.rate_hz, str(path))
-    if file.names == _OWN_NAMES and file.parents == _OWN_PARENTS and _is_ours(file):
-        return Document("bvh", _read_own(path, file, rate), file.assumptions, file.warnings)
+    own = _own_rest(file)
+    if own is not None:
+        motion = _read_own(path, file, rate, own)
+        return Document("bvh", motion, file.assumptions, file.warnings)
     source = _source(path, file, rate, options)
-    done = retarget(source, _body(options), options.scale)
+    done = retarget(source, _body(options), options.scale, options.up)
     assumed = (*file.assumptions, *done.assumptions, _joint_names.said(source.given))
     return Document("bvh", done.motion, assumed, (*file.warnings, *done.warnings))
 
@@ -62,6 +69,9 @@ def _body(options: Options) -> Skeleton:
 
 def _source(path: Path, file: BvhFile, rate: float, options: Options) -> Source:
     """The joints that matter, with their rotations computed."""
+    given = options.mapping if isinstance(options.mapping, dict) else {}
+    if not given and set(MOTIONBUILDER_HANDS) <= set(file.names):
+        given = MOTIONBUILDER_HANDS
     moving = [
         i for i, j in enumerate(file.joints) if j.parent < 0 or set(j.channels) & set(_POSITIONS)
     ]
@@ -73,7 +83,7 @@ def _source(path: Path, file: BvhFile, rate: float, options: Options) -> Source:
         np.array([j.offset for j in file.joints]),
         np.empty((0, len(file.joints), 3, 3)),
         {i: file.translations(i) for i in moving},
-        options.mapping if isinstance(options.mapping, dict) else {},
+        given,
     )
     matched = _joint_names.match(still.names, still.given)
     named = {still.names[i]: joint for joint, i in matched.items()}
@@ -111,21 +121,35 @@ def _layout() -> tuple[tuple[str, ...], tuple[int, ...], tuple[int, ...]]:
 _OWN_NAMES, _OWN_PARENTS, _OWN_JOINTS = _layout()
 
 
-def _is_ours(file: BvhFile) -> bool:
-    """Channels as `write_motion` writes them and a rest pose like ours, in cm."""
-    rest = np.zeros((len(file.joints), 3))
-    for i, (j, ours) in enumerate(zip(file.joints, _OWN_JOINTS, strict=True)):
-        expected = _ORDER if j.parent >= 0 else (*_POSITIONS, *_ORDER)
-        if j.name and j.channels != expected:
-            return False
-        rest[i] = j.offset + (rest[j.parent] if j.parent >= 0 else 0)
-        near = np.abs(CM * rest[i] - (REST[ours] - REST[0])).max() < 0.5
-        if not near:
-            return False
-    return True
+def _own_rest(file: BvhFile) -> Rest | None:
+    """The rest pose of a file that `write_motion` wrote: its joints, its channels, a body like ours."""
+    profile = next((p for p in PROFILES if file.names == _named(p)), None)
+    if profile is None or file.parents != _OWN_PARENTS:
+        return None
+    for j in file.joints:
+        if j.name and j.channels != (_ORDER if j.parent >= 0 else (*_POSITIONS, *_ORDER)):
+            return None
+    offsets = np.zeros((24, 3))
+    joints = [i for i, j in enumerate(file.joints) if j.name]
+    offsets[[_OWN_JOINTS[i] for i in joints]] = [
+        CM * np.array(file.joints[i].offset) for i in joints
+    ]
+    off: dict[Rest, float] = {}
+    for rest in RESTS:
+        body = Skeleton(JOINTS, PARENTS, _bvh_profiles.in_t_pose(offsets, rest))
+        off[rest] = float(np.abs(body.rest_positions - (REST - REST[0])).max())
+    nearest = min(RESTS, key=lambda rest: off[rest])
+    # Other tools' names may come from other tools, with limbs that are straight at other angles.
+    return nearest if off[nearest] < (0.5 if profile == "smpl" else 0.25) else None
 
 
-def _read_own(path: Path, file: BvhFile, rate: float) -> Motion:
+def _named(profile: Profile) -> tuple[str, ...]:
+    """Names in a file of ours, ends included."""
+    ours = _bvh_profiles.names(profile)
+    return tuple(ours[j] if name else "" for name, j in zip(_OWN_NAMES, _OWN_JOINTS, strict=True))
+
+
+def _read_own(path: Path, file: BvhFile, rate: float, rest: Rest) -> Motion:
     offsets = np.zeros((24, 3))
     R = np.empty((len(file.values), 24, 3, 3))
     joints = [i for i, j in enumerate(file.joints) if j.name]
@@ -133,26 +157,32 @@ def _read_own(path: Path, file: BvhFile, rate: float) -> Motion:
     offsets[ours] = CM * np.array([file.joints[i].offset for i in joints])
     R[:, ours] = file.rotations(joints)
     p = CM * file.translations(0)
+    offsets = _bvh_profiles.in_t_pose(offsets, rest)
     # J0 is no part of a BVH file; it only shifts `trans` of SMPL files.
     offsets[0] = REST[0]
     skeleton = Skeleton(JOINTS, PARENTS, offsets)
     if not STATURE_RANGE[0] <= skeleton.stature <= STATURE_RANGE[1]:
         raise FormatError(path, f"stature {skeleton.stature:.3g} m, expected {STATURE_RANGE} m")
-    return Motion(rate, R, p, skeleton)
+    return Motion(rate, _bvh_profiles.from_rest(R, rest), p, skeleton)
 
 
-def write_motion(path: str | Path, motion: Motion) -> None:
+def write_motion(
+    path: str | Path, motion: Motion, profile: Profile = "smpl", rest: Rest = "t"
+) -> None:
     """Write a motion as BVH for Blender, Unity and others: cm, y up, the body faces +z at zero.
 
     One ROOT with position and ZXY rotation channels (its OFFSET is zero, so the position is the
     pelvis in the world whether a tool adds or replaces), other joints ZXY rotations in degrees.
-    Reading it back gives the same rotations to 1e-7 rad and positions to 1e-8 m.
+    profile: whose names the joints have. rest: the pose in which all rotations are zero, T or A (arms 45 deg
+    below). Reading it back gives the same rotations to 1e-7 rad and positions to 1e-8 m.
     """
     if motion.skeleton.names != JOINTS:
         raise ShapeError("BVH holds the 24-joint body only")
+    offsets, R = _bvh_profiles.at_rest(motion, rest)
+    ends = _bvh_profiles.ends(rest, _ENDS)
     lines = ["HIERARCHY"]
-    _write_joint(lines, motion.skeleton, 0, 0)
-    angles = np.degrees(_euler_zxy(motion.R_parent_joint))
+    _write_joint(lines, _bvh_profiles.names(profile), offsets, ends, 0, 0)
+    angles = np.degrees(_euler_zxy(R))
     order = [j for name, j in zip(_OWN_NAMES, _OWN_JOINTS, strict=True) if name]
     values = np.concatenate(
         [motion.p_world_root / CM, angles[:, order].reshape(len(motion), -1)], axis=1
@@ -163,20 +193,27 @@ def write_motion(path: str | Path, motion: Motion) -> None:
         np.savetxt(f, values, fmt="%.6f")
 
 
-def _write_joint(lines: list[str], skeleton: Skeleton, j: int, depth: int) -> None:
+def _write_joint(
+    lines: list[str],
+    names: tuple[str, ...],
+    offsets: Array,
+    ends: dict[str, Array],
+    j: int,
+    depth: int,
+) -> None:
     pad, inner = "\t" * depth, "\t" * (depth + 1)
-    offset = skeleton.offsets[j] / CM if j else np.zeros(3)
+    offset = offsets[j] / CM if j else np.zeros(3)
     channels = "6 Xposition Yposition Zposition" if j == 0 else "3"
     lines += [
-        f"{pad}{'JOINT' if j else 'ROOT'} {skeleton.names[j]}",
+        f"{pad}{'JOINT' if j else 'ROOT'} {names[j]}",
         f"{pad}{{",
         f"{inner}OFFSET {_triple(offset)}",
         f"{inner}CHANNELS {channels} Zrotation Xrotation Yrotation",
     ]
-    for child in (c for c, p in enumerate(skeleton.parents) if p == j):
-        _write_joint(lines, skeleton, child, depth + 1)
-    if skeleton.names[j] in _ENDS:
-        end = _triple(np.array(_ENDS[skeleton.names[j]]) / CM)
+    for child in (c for c, p in enumerate(PARENTS) if p == j):
+        _write_joint(lines, names, offsets, ends, child, depth + 1)
+    if JOINTS[j] in ends:
+        end = _triple(ends[JOINTS[j]] / CM)
         lines += [f"{inner}End Site", f"{inner}{{", f"{inner}\tOFFSET {end}", f"{inner}}}"]
     lines.append(f"{pad}}}")
 

@@ -1,7 +1,8 @@
 """From one file format to another.
 
-A motion of any known format becomes an AMASS-style .npz or a .bvh; a raw or calibrated recording
-becomes a native .npz. The output's suffix decides. --rate is for files that state none; --resample writes
+A motion of any known format becomes what the output's suffix says: .npz (AMASS-style), .bvh (--profile for
+Mixamo, Unity or CMU), .glb (with its body, for Blender and three.js), .sto or .trc (for OpenSim). A raw or
+calibrated recording becomes a native .npz. --rate is for files that state none; --resample writes
 a motion at another one. --reference puts a motion into a recording as what is true of it: for poser
 finetune, evaluate and compare. Both are taken at the times that they state (a motion without one must last as
 long as the recording), and what of the recording the motion does not cover is cut off.
@@ -14,20 +15,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mocap.errors import FormatError
-from poser import files, options, references
+from poser import files, options
 from poser.console import DONE, UsageError, note, progress, say
+from poser.exports import PROFILES, RESTS, WRITERS, Export
 
 if TYPE_CHECKING:
     from mocap.formats import Content, Document
     from mocap.recording import Recording
 
 HELP = "between file formats"
+SUFFIXES = (".npz", *WRITERS)
 
 
 def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("input", type=Path, metavar="IN", help="a motion or a recording")
     parser.add_argument(
-        "output", type=Path, nargs="?", metavar="OUT", help="a .npz or .bvh file (or -o)"
+        "output", type=Path, nargs="?", metavar="OUT", help=f"{', '.join(SUFFIXES)} (or -o)"
     )
     parser.add_argument(
         "-o", "--output", dest="other_output", type=Path, metavar="OUT", help="the same"
@@ -39,6 +42,13 @@ def add_arguments(parser: ArgumentParser) -> None:
         "--reference", type=options.file, metavar="MOTION",
         help="of a calibrated recording: this motion becomes its reference",
     )  # fmt: skip
+    parser.add_argument(
+        "--profile", choices=PROFILES, help="names of the joints in a .bvh (default: smpl)"
+    )
+    parser.add_argument(
+        "--rest", choices=RESTS, help="T- or A-pose where a .bvh has its zero (default: t)"
+    )
+    options.add_body(parser)
     options.add_reading(parser)
     options.stand_behind(parser, "output")
 
@@ -48,7 +58,8 @@ def run(args: Namespace) -> int:
 
     output = _output(args)
     inputs = [args.input, *([args.reference] if args.reference else [])]
-    files.check_output(output, inputs, (".npz",) if args.reference else (".npz", ".bvh"))
+    files.check_output(output, inputs, (".npz",) if args.reference else SUFFIXES)
+    export = _export(args, output.suffix.lower())
     with progress(f"converting {args.input.name}") as tell:
         doc = files.read(args.input, options.reading(args))
         _check_rate(args, doc)
@@ -58,10 +69,21 @@ def run(args: Namespace) -> int:
         if args.reference:
             content = _with_reference(args, files.expected(args.input, doc, "recording"))
         tell(0.5, f"writing {output.name}")
-        files.write(output, content, timed=native.states_start(args.input))
+        files.write(output, content, timed=native.states_start(args.input), export=export)
     with_it = f" with {args.reference} as its reference" if args.reference else ""
     say(f"{output}: {doc.kind}{with_it}, {len(content)} frames at {content.rate_hz:g} Hz")
     return DONE
+
+
+def _export(args: Namespace, suffix: str) -> Export:
+    """How the output is to be; raises UsageError for what files of its kind have not."""
+    said = {"profile": args.profile, "rest": args.rest, "body": args.body}
+    for name, value in said.items():
+        wanted = ".glb" if name == "body" else ".bvh"
+        if value is not None and suffix != wanted:
+            raise UsageError(f"argument --{name}: is for {wanted} files")
+    options.check_body(args)
+    return Export(**{name: value for name, value in said.items() if value is not None})
 
 
 def _output(args: Namespace) -> Path:
@@ -76,12 +98,19 @@ def _output(args: Namespace) -> Path:
 
 def _with_reference(args: Namespace, recording: Recording) -> Recording:
     """The recording with the motion of --reference in it."""
-    from mocap.formats import Options
+    from mocap.evaluation import references
+    from mocap.evaluation.words import sentence
+    from mocap.formats import Options, native
 
     # What is said of sensors' files, rate and names among it, is not said of the motion.
     body = Options(height=args.height, scale=args.scale, smpl=args.smpl)
     motion = files.motion(args.reference, body)
-    return references.with_reference(args.input, recording, args.reference, motion)
+    timed = native.states_start(args.reference)
+    with files.about(args.input):
+        made, found = references.with_reference(recording, motion, timed, str(args.reference))
+    for finding in found:
+        note(f"{args.input}: {sentence(finding, str(args.reference))}")
+    return made
 
 
 def _check_rate(args: Namespace, doc: Document) -> None:
@@ -100,8 +129,11 @@ def _prepared(args: Namespace, output: Path, content: Content) -> Content:
     if isinstance(content, Motion):
         with files.about(args.input):
             return content if args.resample is None else content.resampled(args.resample)
-    if output.suffix.lower() == ".bvh":
-        raise FormatError(args.input, "holds sensor data, and a .bvh file holds a motion; use .npz")
+    suffix = output.suffix.lower()
+    if suffix != ".npz":
+        raise FormatError(
+            args.input, f"holds sensor data, and a {suffix} file holds a motion; use .npz"
+        )
     if args.resample is not None:
         raise FormatError(
             args.input, "holds sensor data, which --resample does not change; it is for motions"

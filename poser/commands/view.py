@@ -1,6 +1,7 @@
 """Motions and recordings in the browser: side by side, with a timeline, sensors as axes.
 
-A body is drawn as capsules; with --smpl FILE, your own SMPL body, as its mesh. A recording without a
+A body is drawn with the mesh that comes with poser, or with your own SMPL body (--smpl FILE); --body capsules
+draws its bones alone. A recording without a
 reference motion is shown as measured: a standing body with its instrumented joints turned. The page is
 served to this machine only, unless --host names another address. Ctrl-C ends it.
 """
@@ -27,6 +28,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         "--host", default=addresses.LOCALHOST, help="default: 127.0.0.1, this machine only"
     )
     parser.add_argument("--no-browser", action="store_true", help="open no browser")
+    options.add_body(parser)
     options.add_reading(parser)
 
 
@@ -37,6 +39,7 @@ def run(args: Namespace) -> int:
     from poser.viewer import stage, tracks
     from poser.viewer.player import Player
 
+    options.check_body(args)
     reading = options.reading(args)
     found = []
     with progress("reading") as tell:
@@ -45,7 +48,7 @@ def run(args: Namespace) -> int:
             found.append(tracks.read(path, reading))
     made = stage.server(args.host, args.port)
     try:
-        player = Player(made, found)
+        player = Player(made, found, args.body)
         url = f"http://{addresses.Address(args.host, made.get_port())}"
         complain(f"{url} (Ctrl-C ends it)", "view")
         if not args.no_browser:

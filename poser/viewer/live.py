@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from mocap.body import Look
 from mocap.estimator import Pose
 from mocap.skeleton import Skeleton
 from poser.live.addresses import LOCALHOST, Address
@@ -25,12 +26,14 @@ def plain(text: str) -> str:
 class ViewerSink:
     """Shows at most RATE_HZ poses per second; `url` is the page."""
 
-    def __init__(self, skeleton: Skeleton, port: int, host: str = LOCALHOST):
+    def __init__(
+        self, skeleton: Skeleton, port: int, host: str = LOCALHOST, body: Look | None = None
+    ):
         self.name = "viewer"
         self._skeleton = skeleton
         self._server = stage.server(host, port)
         self.url = f"http://{Address(host, self._server.get_port())}"
-        self._figure = stage.Figure(self._server, 0, "live", skeleton, np.zeros(3))
+        self._figure = stage.Figure(self._server, 0, "live", skeleton, np.zeros(3), body=body)
         stage.floor(self._server)
         stage.look_from(self._server, np.array([0.0, 0.95, 0.0]), 0.0)
         self._text = self._server.gui.add_markdown("waiting for sensors")

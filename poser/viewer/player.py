@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from mocap.body import Look
 from mocap.synthesis.staging import floors_of
 from poser.viewer import stage
 from poser.viewer.tracks import Track
@@ -25,10 +26,11 @@ class Player:
     Those that state their time are shown by one clock, from where all of them have begun; the others begin
     with the timeline. A body outside its time stands still, and its label says so.
 
-    step(seconds) lets time pass; `run` does so until it is told to stop.
+    body: how they look (`mocap.body.skin`). step(seconds) lets time pass; `run` does so
+    until it is told to stop.
     """
 
-    def __init__(self, made: Any, tracks: Sequence[Track]):
+    def __init__(self, made: Any, tracks: Sequence[Track], body: Look | None = None):
         self._server, self._tracks = made, tracks
         begin = min((t.start_s for t in tracks if t.start_s is not None), default=0.0)
         self._starts = [begin if t.start_s is None else t.start_s for t in tracks]
@@ -43,7 +45,7 @@ class Player:
         starts = [t.motion.p_world_root[0] * [1, 0, 1] for t in tracks]
         self._figures = [
             stage.Figure(made, k, t.label, t.motion.skeleton, shifts[k] - starts[k],
-                         len(t.sensors.names) if t.sensors else 0)
+                         len(t.sensors.names) if t.sensors else 0, body)
             for k, t in enumerate(tracks)
         ]  # fmt: skip
         travelled = max(

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 
 from mocap import orientation as ori
+from mocap.body import Look, skin
 from mocap.errors import PoserError
 from mocap.orientation import Array
 from mocap.skeleton import Skeleton
 from poser.live.addresses import LAST_PORT, Address, resolved
-from poser.viewer.skins import skin
 
 COLOURS = (
     (62, 126, 196),
@@ -107,13 +107,17 @@ def look_from(made: Any, centre: Array, width_m: float) -> None:
 
 
 class Figure:
-    """One body in the scene. index: its number, for name and colour. shift: (3,) m, where it stands."""
+    """One body in the scene. index: its number, for name and colour. shift: (3,) m, where it stands.
+
+    body: how it looks (`mocap.body.skin`).
+    """
 
     def __init__(
-        self, made: Any, index: int, label: str, skeleton: Skeleton, shift: Array, sensors: int = 0
-    ):
+        self, made: Any, index: int, label: str, skeleton: Skeleton, shift: Array,
+        sensors: int = 0, body: Look | None = None,
+    ):  # fmt: skip
         self._skeleton, self._shift = skeleton, shift
-        look = skin(skeleton)
+        look = skin(skeleton, body)
         name = f"/body{index}"
         still = np.tile([1.0, 0, 0, 0], (len(look.rest), 1))
         self._mesh = made.scene.add_mesh_skinned(

@@ -11,71 +11,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from mocap import orientation as ori
 from mocap import sensors, synthesis
 from mocap.errors import PoserError
-from mocap.formats.smpl import SmplMesh
-from mocap.skeleton import Skeleton
 from mocap.synthesis import motions
 from mocap.synthesis.staging import floors_of
 from poser.__main__ import main
 from poser.viewer import stage, tracks
 from poser.viewer.live import plain
 from poser.viewer.player import Player
-from poser.viewer.skins import capsule, skin
-
-point = st.lists(st.floats(-2, 2), min_size=3, max_size=3).map(np.array)
-
-
-@given(point, point, st.floats(0.01, 0.5))
-def test_a_capsule_is_all_points_at_its_radius(
-    start: np.ndarray, end: np.ndarray, r: float
-) -> None:
-    vertices, faces = capsule(start, end, r)
-    axis = end - start
-    along = np.clip((vertices - start) @ axis / max(axis @ axis, 1e-18), 0, 1)
-    distance = np.linalg.norm(vertices - (start + along[:, None] * axis), axis=1)
-    np.testing.assert_allclose(distance, r, rtol=1e-6, atol=1e-6)
-    corners = vertices[faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    # Signed volume by the divergence theorem: positive where faces look outward, and near the capsule's.
-    centred = corners - (start + end) / 2
-    volume = np.einsum("fi,fi->", centred[:, 0], normals) / 6
-    exact = np.pi * r**2 * np.linalg.norm(axis) + 4 / 3 * np.pi * r**3
-    assert 0.9 * exact < volume < exact
-
-
-def test_every_bone_has_its_capsule_and_moves_with_its_joint() -> None:
-    body = Skeleton.default(1.9)
-    look = skin(body)
-    assert (look.weights.sum(axis=1) == 1).all()
-    assert set(look.weights.argmax(axis=1)) >= set(body.parents) - {-1}
-    assert look.faces.max() == len(look.vertices) - 1
-    height = np.ptp(look.vertices[:, 1])
-    assert height == pytest.approx(1.9, abs=0.08)
-    left, right = (look.vertices[:, 0].max(), look.vertices[:, 0].min())
-    assert left == pytest.approx(-right, abs=0.02)
-
-
-def test_the_smpl_mesh_is_taken_where_there_is_one() -> None:
-    body = Skeleton.default()
-    rng = np.random.default_rng(0)
-    weights = rng.dirichlet(np.ones(24), size=5)
-    mesh = SmplMesh(
-        rng.normal(size=(5, 3)), body.rest_positions, weights, np.zeros((5, 3, 207)),
-        np.array([[0, 1, 2], [2, 3, 4]]),
-    )  # fmt: skip
-    dressed = Skeleton(body.names, body.parents, body.offsets, body.betas, mesh)
-    look = skin(dressed)
-    # Moved as a browser moves it, the skin is where SMPL's own skinning puts the vertices.
-    motion = motions.walk(3.0).on(dressed).slice(50, 51)
-    R, p = motion.R_world_joint[0], motion.p_world_joint[0]
-    turned = np.einsum("jab,vjb->vja", R, look.vertices[:, None] - look.rest) + p
-    moved = np.einsum("vj,vja->va", look.weights, turned)
-    np.testing.assert_allclose(moved, mesh.vertices(motion)[0], atol=1e-9)
 
 
 @pytest.fixture(scope="module")

@@ -90,13 +90,17 @@ def test_limbs_point_as_in_the_source(clips: dict[str, Path], kind: str, clip: s
     m, source = motion(clips[clip]), files.kinematics(clips[clip])
     dropped = source.frames - len(m)
     # Daz files start with a T-pose that is no part of the motion.
-    assert dropped == (3 if kind == "daz" else 0)
+    assert dropped == (8 if kind == "daz" else 0)
     for side in SIDES:
         at = [source.at[n.format(l=side[0], L=side[0].upper(), s=side.capitalize())][dropped:]
               for n in NAMES[kind]]  # fmt: skip
         for k in (0, 1, 3, 4):
             own = bone(m, f"{side}_{LIMBS[k]}", f"{side}_{LIMBS[k + 1]}")
-            assert degrees_between(own, unit(at[k + 1] - at[k])).max() < 1.0, (side, LIMBS[k])
+            off = degrees_between(own, unit(at[k + 1] - at[k]))
+            if kind == "daz":  # its limbs are the original's, off the figure's own by a constant
+                assert np.ptp(off) < 0.1 and off.max() < 22, (side, LIMBS[k])
+            else:
+                assert off.max() < 1.0, (side, LIMBS[k])
 
 
 @pytest.mark.parametrize(("kind", "clip"), ALL)
@@ -247,7 +251,9 @@ def test_a_rig_with_our_rest_pose_is_copied(
     went = m.p_world_root - m.p_world_root[0]
     np.testing.assert_allclose(went, path - path[0], atol=1e-6)
     said = {1.0: "1 m", 0.01: "1 cm", 0.001: "1 mm", 0.0254: "1 inch"}[unit_m]
-    assert any(f"length unit {said}, guessed" in s for s in doc.assumptions)
+    # Mixamo's names in cm are as `write_motion` writes them: nothing is guessed.
+    ours = (tool, unit_m) == ("mixamo", 0.01)
+    assert ours != any(f"length unit {said}, guessed" in s for s in doc.assumptions)
 
 
 def test_a_scale_is_told(tmp_path: Path) -> None:
