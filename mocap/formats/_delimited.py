@@ -72,7 +72,7 @@ def open_table(path: Path, known: Known, expected: str) -> Table:
             cut = {d: _header(line, d) for d in ((said,) if said else DELIMITERS)}
             fits = [d for d, cells in cut.items() if known(cells)]
             if fits:
-                best = max(fits, key=lambda d: (d is not None, len(cut[d])))
+                best = max(fits, key=lambda d: (d is not None and len(cut[d]) > 1, len(cut[d])))
                 return Table(path, tuple(preamble), tuple(cut[best]), number, best, rows)
             preamble.append(line)
         if len(preamble) > MAX_PREAMBLE:

@@ -29,7 +29,7 @@ from mocap.formats import (
     _pickled,
     _smpl_fields,
     _upright,
-)  # fmt: skip
+)
 from mocap.formats._files import write_aside
 from mocap.motion import Motion
 from mocap.skeleton import JOINTS, PARENTS, Skeleton

@@ -53,7 +53,8 @@ def read(path: Path, options: Options) -> Document:
     rate = file.rate_hz if options.rate_hz is None else check_rate(options.rate_hz, str(path))
     own = _own_rest(file)
     if own is not None:
-        return Document("bvh", _read_own(path, file, rate, own), file.assumptions, file.warnings)
+        motion = _read_own(path, file, rate, own)
+        return Document("bvh", motion, file.assumptions, file.warnings)
     source = _source(path, file, rate, options)
     done = retarget(source, _body(options), options.scale, options.up)
     assumed = (*file.assumptions, *done.assumptions, _joint_names.said(source.given))
