@@ -19,13 +19,15 @@ from methods import IMUPOSER_HZ, IMUPOSER_S, Run, imuposer_runs
 import hybrid
 from learned import checkpoint
 from learned.imuposer.adam import AdamEstimator
-from learned.models import Imuposer
+from learned.imuposer.deviations import imuposer_covariances
+from learned.imuposer.model import Imuposer
+from learned.imuposer.specification import COMBINATIONS
+from learned.registry import specification
 from learned.training import deviations
 from learned.training.validation import Windowed, cut_for, recordings
 from mocap import Motion, dataset, sensors
 from mocap.estimator import Estimator, replay
 from mocap.evaluation import metrics
-from poser.estimators import TRACKER
 
 NAMES = ("sip_deg", "angular_deg", "position_cm", "global_deg", "instrumented_deg", "jitter")
 TRAINING_STEP = 2  # every so many of the training clips
@@ -51,18 +53,18 @@ def main() -> None:
     others = {s: windows([c for c in held if c.subject != s], args.windows) for s in people}
     seen = windows(dataset.select("train", ("cmu",))[::TRAINING_STEP], args.windows)
     with torch.inference_mode(False), torch.no_grad():
-        learnt = deviations.imuposer_covariances(model, seen)
-        of = {s: deviations.imuposer_covariances(model, w) for s, w in others.items()}
+        learnt = imuposer_covariances(model, seen)
+        of = {s: imuposer_covariances(model, w) for s, w in others.items()}
     ways: dict[str, dict[str, list[np.ndarray]]] = {}
     for s in people:
-        pairs = list(zip(of[s], learnt, strict=True))
+        pairs = [(of[s][k], learnt[k]) for k in range(len(COMBINATIONS))]
         made = {
             "other people": [a for a, _ in pairs],
             "training clips": [c * (a.trace() / c.trace()) for a, c in pairs],
             "both": [deviations.pooled(a, c) for a, c in pairs],
         }
         ways[s] = {way: [deviations.shrunk(c).numpy() for c in C] for way, C in made.items()}
-    settings = hybrid.TrackerSettings(**TRACKER["imuposer"])
+    settings = hybrid.TrackerSettings(**specification("imuposer").tracker)
     found: dict[tuple[str, str], list[list[float]]] = {}
 
     def tell(s: str, way: str, motion: Motion, run: Run) -> None:

@@ -18,7 +18,7 @@ from common import machine, row, seed_of
 
 from mocap import Motion, RawRecording, dataset, sensors
 from mocap.calibration import calibrate, fusion
-from mocap.calibration.checks.single import check_sensors
+from mocap.calibration.checks import check_sensors
 from mocap.synthesis import NOISES, raw_recording
 from mocap.synthesis.motions import builtin
 from mocap.synthesis.staging import with_static_pose

@@ -84,7 +84,9 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, help="where the state is kept")
     args = parser.parse_args()
     rate, names = (
-        (25.0, devices_of(sensors.FIVE)) if args.network == "imuposer" else (60.0, sensors.SIX)
+        (25.0, devices_of("imuposer", sensors.FIVE))
+        if args.network == "imuposer"
+        else (60.0, sensors.SIX)
     )
     truth = motions.builtin(rate)
     recording: Recording = synthesis.recording(truth, names, synthesis.Noise(), 0)

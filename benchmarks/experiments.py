@@ -34,16 +34,18 @@ import torch
 from common import row
 
 from learned import checkpoint, online
-from learned import kinematics as kin
-from learned.features import COMBINATIONS
-from learned.models import Dip, Model, for_network
+from learned import tree as kin
+from learned.config import for_network
+from learned.dip.model import Dip
+from learned.imuposer.specification import COMBINATIONS
+from learned.model import Model
 from learned.training import corpus, deviations
 from learned.training.augmentation import Augmentation
 from learned.training.settings import TrainSettings
 from learned.training.trainer import Trainer
 from learned.training.validation import cut_for, figures, predict, recordings
 from learned.training.virtual import Windows
-from mocap import Motion, dataset, sensors
+from mocap import Motion, dataset
 from mocap.errors import PoserError
 from mocap.estimator import Estimator, replay
 from mocap.synthesis import Noise
@@ -212,7 +214,7 @@ def rows_of_hybrid_share(args: argparse.Namespace) -> Iterable[dict[str, Any]]:
         model = trained(v, args)
         assert isinstance(model, Dip)
         deviations.calibrate(model, held)
-        dip = online.dip(model, 60.0, (20, 5), sensors.SIX)
+        dip = online.stream(model, 60.0)
         ways: dict[str, Estimator] = {"dip": dip, "hybrid": hybrid.Tracker(dip)}
         for method, estimator in ways.items():
             motions = [replay(estimator, r).motion for r in tests]

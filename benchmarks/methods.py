@@ -31,7 +31,7 @@ from mocap.skeleton import Skeleton
 from sip.prior import shipped
 
 if TYPE_CHECKING:
-    from learned.models import Imuposer
+    from learned.imuposer.model import Imuposer
 
 NAMES = (
     "sip_deg", "angular_deg", "position_cm", "instrumented_deg", "global_deg", "jitter", "acc_error",
@@ -79,14 +79,14 @@ class Asleep:
         self._runtime, self._left, self._width = runtime, frames, width
         self.rows = runtime.rows
 
-    def features(self, rows: Any, emit: int) -> Any:
+    def answer(self, rows: Any, emit: int) -> Any:
         """Of the awake runtime, or zeros."""
         import torch
 
         if self._left > 0:
             self._left -= 1
             return torch.zeros(self._width)
-        return self._runtime.features(rows, emit)
+        return self._runtime.answer(rows, emit)
 
 
 def figures(
@@ -160,7 +160,7 @@ class Run:
 def imuposer_runs(name: str, clip: Motion, model: Imuposer) -> Iterator[Run]:
     """The 24 combinations on one clip."""
     from learned import runtime
-    from learned.features import COMBINATIONS
+    from learned.imuposer.specification import COMBINATIONS
     from learned.imuposer.window import ImuposerWindow
     from learned.online.estimator import Online
 
@@ -191,8 +191,8 @@ def imuposer_clip(job: tuple[str, Motion, str | None, dict[str, Any]]) -> list[d
     import hybrid
     from learned import checkpoint
     from learned.imuposer.adam import AdamEstimator
-    from learned.models import Imuposer
-    from poser.estimators import TRACKER
+    from learned.imuposer.model import Imuposer
+    from learned.registry import specification
 
     name, clip, weights, settings = job
     mean = shipped().mean
@@ -200,7 +200,7 @@ def imuposer_clip(job: tuple[str, Motion, str | None, dict[str, Any]]) -> list[d
     model = checkpoint.load(chosen or checkpoint.shipped("imuposer"), "imuposer")
     assert isinstance(model, Imuposer)
     covariances = [c.double().numpy() for c in model.error_covariance]
-    tracker = hybrid.TrackerSettings(**(TRACKER["imuposer"] | settings))
+    tracker = hybrid.TrackerSettings(**{**specification("imuposer").tracker, **settings})
     out = []
     for run in imuposer_runs(name, clip, model):
         recording = run.recording

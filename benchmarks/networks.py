@@ -26,10 +26,14 @@ from torch import Tensor
 from hybrid import TrackerSettings
 from hybrid.refinement import Refinement
 from learned import checkpoint, online, runtime
-from learned import kinematics as kin
-from learned.features import COMBINATIONS
+from learned import tree as kin
+from learned.config import for_network
+from learned.dip.model import Dip
 from learned.imuposer.adam import CHAINS, AdamSettings, refine
-from learned.models import Dip, Imuposer, Model, build, for_network
+from learned.imuposer.model import Imuposer
+from learned.imuposer.specification import COMBINATIONS
+from learned.model import Model, build
+from learned.registry import specification
 from learned.training.reach import inputs, pose_of
 from learned.training.validation import cut
 from mocap import Motion, Recording, dataset, orientation, sensors, synthesis
@@ -37,7 +41,7 @@ from mocap.estimator import Pose, replay, samples
 from mocap.evaluation import metrics
 from mocap.skeleton import Skeleton
 from mocap.synthesis import motions
-from poser.estimators import TRACKER, devices_of, make, network_of
+from poser.estimators import devices_of, make, network_of
 
 WIDTHS = (34, 9, 9, 9, 9, 11, 10)
 
@@ -53,7 +57,7 @@ def inputs_of(model: Model, count: int) -> tuple[Tensor, int]:
     """Inputs (count,T,60) of windows of noisy sensors on the built-in motion, and the emitted frame."""
     rate, names = model.config.rate_hz, model.config.sensors
     made = synthesis.recording(motions.builtin(rate, 30.0), names, synthesis.Noise(), 0)
-    past, future = (20, 5) if isinstance(model, Dip) else (124, 0)
+    past, future = model.config.specification.window
     w = cut([made], past, future, max(1, len(made) // count))
     return inputs(model, w, count), past
 
@@ -93,11 +97,11 @@ def speed(model: Model, frames: int) -> None:
                 keeps
             ):  # all but those of the newest frame (IMUPoser: of five at the edges) are at hand
                 way.rows(window[-1:] if isinstance(model, Dip) else window[-5:])
-            features = way.features(rows, emit)
+            out = way.answer(rows, emit)
             if k >= 2:
                 wall[name].append(1e3 * (time.perf_counter() - began))
                 cpu[name].append(1e3 * (time.thread_time() - began_cpu))
-            pose = pose_of(model, way, features)
+            pose = pose_of(model, out)
             truth = pose if truth is None else truth
             off[name].append(float(torch.rad2deg(kin.angle_between(pose, truth)).max()))
     print(row((f"{model.config.network}, {x.shape[1]} frames", "p50 ms", "p99 ms", "p50 cpu", "of plain",
@@ -121,7 +125,9 @@ def whole(frames: int, files: dict[str, Path | None]) -> None:
     print(row(("method", "Hz", "p50 ms", "p99 ms", "p99 cpu", "longest", "period"), WIDTHS))
     for method in ("dip", "hybrid-dip", "imuposer", "imuposer-adam", "hybrid-imuposer"):
         network = network_of(method)
-        rate, names = (60.0, sensors.SIX) if network == "dip" else (25.0, devices_of(sensors.FIVE))
+        spec = specification(network)
+        rate = spec.rate_hz
+        names = spec.places if spec.needs_all else devices_of(network, spec.places)
         made = synthesis.recording(
             motions.builtin(rate, frames / rate), names, synthesis.Noise(), 0
         )
@@ -141,12 +147,10 @@ def whole(frames: int, files: dict[str, Path | None]) -> None:
 def memory(network: str, minutes: float) -> None:
     """Resident memory while samples stream: everything but the size of the matrices is as it is."""
     model = model_of(network, None, True, hidden=16)
-    names = model.config.sensors[:3] if network == "imuposer" else model.config.sensors
+    names = model.config.sensors[: model.config.specification.most]
     rate = 100.0
     made = synthesis.recording(motions.builtin(rate, 20.0), names, synthesis.Noise(), 0)
-    estimator = (
-        online.dip(model, rate) if isinstance(model, Dip) else online.imuposer(model, rate, names)
-    )
+    estimator = online.stream(model, rate, names)
     rows = list(samples(made))
     state, total = estimator.init(), int(60 * minutes * rate)
     for k in range(total):
@@ -169,7 +173,7 @@ def adam(model: Model, clips: int) -> None:
             break
         worn = [sensors.FIVE[i] for i in COMBINATIONS[(7 * k + 3) % len(COMBINATIONS)]]
         made = synthesis.recording(motion, tuple(worn), synthesis.Noise(), k)
-        fast = online.imuposer(model, 25.0, made.sensors, precision=runtime.fastest())
+        fast = online.stream(model, 25.0, made.sensors, precision=runtime.fastest())
         done = replay(fast, made).motion
         for rate in rates:
             out = done if rate == 0 else refined(done, made, AdamSettings(learning_rate=rate))
@@ -194,12 +198,12 @@ def refinement(frames: int) -> None:
     """One frame of IMUPoser's poses refined three ways, a watch, a phone and earphones worn: the hybrid's QP,
     ten Adam steps by their closed-form gradient (`imuposer.adam`), and the same steps by autograd through
     the kinematics of 24 joints, as a network's code would have them."""
-    worn = devices_of(sensors.FIVE)
+    worn = devices_of("imuposer", sensors.FIVE)
     truth = motions.builtin(25.0)
     made = synthesis.recording(truth, worn, synthesis.Noise(), 0)
     joint, seat = sensors.joints_and_seats(worn)
     joints = tuple(int(j) for j in joint)
-    settings = TrackerSettings(**TRACKER["imuposer"])
+    settings = TrackerSettings(**specification("imuposer").tracker)
     qp = Refinement(Skeleton.default(), joint, seat, settings)
     rng = np.random.default_rng(0)
     error = orientation.exp(np.deg2rad(12.0) * rng.normal(size=(24, 3)))

@@ -8,8 +8,11 @@ from functools import cache
 import numpy as np
 import torch
 
+from learned.dip.model import Dip
 from learned.dip.network import Gaussian
-from learned.models import Dip, Imuposer, Model
+from learned.imuposer.deviations import imuposer_poses
+from learned.imuposer.model import Imuposer
+from learned.model import Model
 from learned.training import validation
 from mocap import Motion, Recording, dataset
 from mocap import orientation as ori
@@ -53,7 +56,7 @@ def dip_motions(
         for r in recordings:
             R, acc = (torch.as_tensor(x, dtype=torch.float32)[None] for x in validation.held(r))
             found: Gaussian = model(model.inputs(R, acc)[0])
-            out.append(_motion(r, model.pose(found, R[:, :, 5])[0]))
+            out.append(_motion(r, model.pose(found, R)[0]))
     return out
 
 
@@ -65,8 +68,8 @@ def imuposer_motions(
     out = []
     with torch.inference_mode():
         for r in recordings:
-            windows = validation.cut([r], *validation.SEEN["imuposer"], stride)
-            out.append(_motion(r, validation.imuposer_poses(model, windows, combination), stride))
+            windows = validation.cut([r], *model.config.specification.window, stride)
+            out.append(_motion(r, imuposer_poses(model, windows, combination), stride))
     return out
 
 

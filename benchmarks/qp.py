@@ -16,7 +16,7 @@ import numpy as np
 from common import machine, row
 
 from hybrid import Tracker
-from hybrid.limb_qp import Answer, LimbQP
+from hybrid.limb_qp import LimbQP, QPSolution
 from mocap import Motion, sensors, synthesis
 from mocap import orientation as ori
 from mocap.estimator import Pose, Sample, samples
@@ -67,7 +67,7 @@ class Timed(LimbQP):
         self.seconds: list[float] = []
         self.iterations: list[int] = []
 
-    def solve(self, *args: Any) -> Answer:
+    def solve(self, *args: Any) -> QPSolution:
         """As `LimbQP.solve`."""
         began = clock()
         answer = super().solve(*args)

@@ -1,7 +1,7 @@
 """The live loop in Python, with an estimator of your own.
 
 An estimator is two functions over explicit state: init() -> state, step(state, sample) -> (state, pose).
-This one turns each instrumented joint as measured; a real one (`poser.estimators`) is driven alike.
+This one turns each instrumented joint as measured; a real one (`learned.estimator`) is driven alike.
 Run: python examples/live_loop.py [--seconds 3]
 """
 

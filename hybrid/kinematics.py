@@ -8,9 +8,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
 from hybrid import rotations
 from mocap.orientation import Array
@@ -23,18 +25,45 @@ class Configuration:
 
     R_world_bone (S,3,3) and p_world (S,3) m: of each point's bone, and of the point. J_rotation (S,3,n):
     R_world_bone(dv) = Exp(J_rotation dv) R_world_bone, so world axes. J_origin (S,3,n) m/rad: velocity of
-    that part of the bone's space which is at the world's origin.
+    that part of the bone's space which is at the world's origin. R_parent_joint (24,3,3): the pose itself;
+    tree: whose points and free joints these are; J (6,n): the columns that all Jacobians are made of, the
+    spatial velocity at the world's origin, linear part first.
     """
 
     R_world_bone: Array
     p_world: Array
     J_rotation: Array
     J_origin: Array
+    R_parent_joint: Array
+    tree: Kinematics
+    J: Array
 
     @cached_property
     def J_position(self) -> Array:
         """(S,3,n) m/rad of p_world: v(p) = v(origin) + omega x p."""
         return self.J_origin - rotations.hat(self.p_world) @ self.J_rotation
+
+    def on(self, joint: int, seat: ArrayLike = (0.0, 0.0, 0.0)) -> PointOnBody:
+        """Any point: `seat` (3,) m in the frame of the bone of `joint`."""
+        offsets, chain = self.tree.skeleton.offsets, self.tree.skeleton.ancestors(joint)
+        R, p = np.eye(3), np.zeros(3)
+        for j in chain:
+            p = p + R @ offsets[j] if j else p
+            R = R @ self.R_parent_joint[j]
+        p = p + R @ np.asarray(seat, float)
+        moves = np.repeat([float(j in chain) for j in self.tree.free], 3)
+        turning = moves * self.J[3:]
+        return PointOnBody(R, p, turning, moves * self.J[:3] - rotations.hat(p) @ turning)
+
+
+class PointOnBody(NamedTuple):
+    """R_world_bone (3,3) and p_world (3,) m, pelvis joint at the origin, world axes, with Jacobians (3,n):
+    R_world_bone(dv) = Exp(J_rotation dv) R_world_bone, p_world(dv) = p_world + J_position dv + O(dv^2)."""
+
+    R_world_bone: Array
+    p_world: Array
+    J_rotation: Array
+    J_position: Array
 
 
 class Kinematics:
@@ -78,4 +107,6 @@ class Kinematics:
         placed = self._data.oMi
         T = np.array([placed[i].homogeneous for i in self._ids]).reshape(-1, 4, 4)
         p = (T @ self._seats)[:, :3, 0]
-        return Configuration(T[:, :3, :3], p, self._reach * J[3:], self._reach * J[:3])
+        return Configuration(
+            T[:, :3, :3], p, self._reach * J[3:], self._reach * J[:3], R_parent_joint, self, J
+        )

@@ -30,7 +30,7 @@ NARROWEST = 2e-4
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
+class QPSolution:
     """x (n,), and how well it satisfies the conditions of optimality.
 
     kkt: largest violation of stationarity, box, sign and complementarity, on scaled variables, computed
@@ -71,7 +71,7 @@ class LimbQP:
             polishing=False,
         )
 
-    def solve(self, H: Array, g: Array, lower: Array, upper: Array) -> Answer:
+    def solve(self, H: Array, g: Array, lower: Array, upper: Array) -> QPSolution:
         """The minimum for H (n,n) symmetric positive definite, g (n,), lower <= upper (n,).
 
         The start is the minimum without the box, clipped to it. Where that satisfies the conditions of
@@ -93,7 +93,7 @@ class LimbQP:
             kkt = kkt_residual(P, q, low, high, z)
         ok = kkt <= ACCEPTED_KKT  # False where kkt is NaN
         x = _clip(z * scale, lower, upper)  # the scale's rounding
-        return Answer(x, ok, kkt, iterations)
+        return QPSolution(x, ok, kkt, iterations)
 
     def _by_osqp(self, P: Array, q: Array, low: Array, high: Array, z: Array) -> tuple[Array, int]:
         """OSQP's answer within the box, started at z in it, and its iterations; all scaled."""
@@ -105,9 +105,9 @@ class LimbQP:
         result = solver.solve(raise_error=False)
         return _clip(result.x, low, high), int(result.info.iter)
 
-    def _refused(self) -> Answer:
+    def _refused(self) -> QPSolution:
         """The answer to what is no strictly convex problem."""
-        return Answer(np.zeros(self.n), False, np.inf, 0)
+        return QPSolution(np.zeros(self.n), False, np.inf, 0)
 
 
 def kkt_residual(P: Array, q: Array, lower: Array, upper: Array, x: Array) -> float:

@@ -22,11 +22,17 @@ from mocap.orientation import Array
 
 @dataclass(frozen=True)
 class FilterNoise:
-    """Sizes, 1 sigma. white: m/s^2 per sample at 60 Hz, of one sensor. bias: m/s^2 per axis of one
-    sensor, a process that forgets itself over bias_s, and enters as the white density 2 bias^2 bias_s.
-    blind: m/s^2 and blind_s: size and memory of human acceleration, which is the error where nothing was
-    measured. solved_m: error of a solved position, correlated over solved_s: as white noise at interval
-    dt it has the variance solved_m^2 (1 + 2 solved_s / dt). start_velocity: m/s at an unknown start.
+    """Sizes, 1 sigma.
+
+    white: m/s^2 per sample at 60 Hz, of one sensor.
+    bias: m/s^2 per axis of one sensor; enters as the white density 2 bias^2 bias_s.
+    bias_s: over which the bias forgets itself.
+    blind: m/s^2, size of human acceleration: the error where nothing was measured.
+    blind_s: its memory.
+    solved_m: error of a solved position; as white noise at interval dt it has the variance
+    solved_m^2 (1 + 2 solved_s / dt).
+    solved_s: over which that error is correlated.
+    start_velocity: m/s, at an unknown start.
     widest_m: the position's sigma never exceeds it.
     """
 

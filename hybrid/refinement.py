@@ -1,10 +1,13 @@
 """One frame: the network's pose and the frame's measurements in, the refined pose out.
 
-    minimise  sum_s |Log(R_meas^T R_s) + Jlog3 R_s^T J_s dv|^2 / sigma_ori^2
-            + sum_s w_s |p_s + Jp_s dv - p_pred_s|^2 / P_s                       gated, Huber
-            + |Log(R_net^T R) + J_r^-1 dv|^2_{Lambda_net}
-            + |dv|^2 / sigma_step^2
+    minimise  sum over tasks |e + J dv|^2  +  |dv|^2 / sigma_step^2
     subject to joint limits and joint rates (a box in the rotation vectors)
+
+The standard tasks (`hybrid.tasks`):
+
+    sum_s |Log(R_meas^T R_s) + Jlog3 R_s^T J_s dv|^2 / sigma_ori^2
+    sum_s w_s |p_s + Jp_s dv - p_pred_s|^2 / P_s                       gated, Huber
+    |Log(R_net^T R) + J_r^-1 dv|^2_{Lambda_net}
 
 linearised at R = R_net Exp(xi) Exp(phi step): xi the refinement of the frame before, step its last change,
 phi = exp(-dt / step_memory_s). What the network gets wrong changes slowly, so one step a frame follows it,
@@ -18,23 +21,27 @@ answers a little differently every frame.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 from scipy.linalg.lapack import dpotrf, dtrtri
 
-from hybrid import limits, motion_filter, rotations, tasks
-from hybrid.kinematics import Configuration, Kinematics
-from hybrid.limb_qp import Answer, LimbQP
+from hybrid import limits, rotations, tasks
+from hybrid.box import box, in_rotation_vectors
+from hybrid.kinematics import Kinematics
+from hybrid.limb_qp import LimbQP, QPSolution
+from hybrid.network_errors import NetworkErrors
 from hybrid.settings import TrackerSettings
+from hybrid.tasks.task import Frame, Task, Term, normal_equations
+from hybrid.worn import Worn, free_joints
+from mocap.errors import ShapeError
 from mocap.estimator import NO_MEASUREMENT, Pose, Sample
 from mocap.orientation import Array
 from mocap.skeleton import Skeleton
 
-TRUNK = (0, 3, 6, 9)
 ROOT_OFFSET_S = 0.5  # memory of the root's correction while a worn pelvis sensor is lost
 NOT_CONVERGED = "the QP did not converge"
 
@@ -45,8 +52,7 @@ class Memory:
 
     xi, step (F,3) rad: refinement of the free joints, R_net Exp(xi), and the tangent step that led there
     from the frame before. root (3,) rad: Log(R_net^T R_measured) of the root.
-    R_free (F,3,3): the refined rotations, or None at a start. motion: the sensors' filters, p relative to
-    the pelvis sensor. refused_s (S,): for how long each filter's predictions have been refused.
+    R_free (F,3,3): the refined rotations, or None at a start. tasks: each task's own state.
     R_net (24,3,3), turn (24,3) rad/s: the network's pose, smoothed, and how fast it turns; None at a start.
     """
 
@@ -54,8 +60,7 @@ class Memory:
     step: Array
     root: Array
     R_free: Array | None
-    motion: motion_filter.SensorMotion
-    refused_s: Array
+    tasks: tuple[Any, ...]
     R_net: Array | None = None
     turn: Array | None = None
 
@@ -70,7 +75,7 @@ class Refined:
     std_rad: Array | None
     reason: str
     events: Mapping[str, int]
-    qp: Answer | None
+    qp: QPSolution | None
 
 
 class Charts(NamedTuple):
@@ -99,67 +104,55 @@ def smoothed(
     return ahead @ rotations.exp((1 - theta**2) * i), turn + (1 - theta) ** 2 * i / dt
 
 
-def free_joints(skeleton: Skeleton, joint: np.ndarray, spine: bool) -> tuple[int, ...]:
-    """The joints from each sensor's bone up to the trunk; with `spine` on through the trunk.
-
-    The root is among them where no sensor sits on it. A sensor on the trunk frees what is below it.
-    """
-    free: set[int] = set()
-    for j in joint:
-        above = skeleton.ancestors(int(j))
-        keep = spine or int(j) in TRUNK
-        free.update(k for k in above if k and (keep or k not in TRUNK))
-    if 0 not in joint:
-        free.add(0)
-    return tuple(sorted(free))
+class TaskFailed(Exception):
+    """A task raised; the argument is the reason for the note."""
 
 
 class Refinement:
-    """The constants of a sensor set: kinematics, QP, limits. All that changes is in `Memory`."""
+    """The constants of a sensor set: kinematics, QP, limits. All that changes is in `Memory`.
+
+    frame_tasks: what makes the cost; default, `hybrid.tasks.standard` of the settings.
+    """
 
     def __init__(
-        self, skeleton: Skeleton, joint: np.ndarray, seat: Array, settings: TrackerSettings
+        self,
+        skeleton: Skeleton,
+        joint: np.ndarray,
+        seat: Array,
+        settings: TrackerSettings,
+        frame_tasks: Sequence[Task] | None = None,
     ) -> None:
         self.settings = settings
-        self.joint = np.asarray(joint, int)
-        at_root = np.flatnonzero(self.joint == 0)
-        self.pelvis: int | None = int(at_root[0]) if len(at_root) else None
-        self.free = free_joints(skeleton, self.joint, settings.spine)
-        self._free = list(self.free)
-        self.kinematics = Kinematics(skeleton, self.joint, seat, self.free)
-        self.qp = LimbQP(3 * len(self.free)) if self.free else None
+        joint = np.asarray(joint, int)
+        free = free_joints(skeleton, joint, settings.spine)
+        self.worn = Worn(skeleton, joint, np.asarray(seat, float), free)
+        self.tasks = tasks.standard(settings) if frame_tasks is None else tuple(frame_tasks)
+        self._free = list(free)
+        self.kinematics = Kinematics(skeleton, joint, seat, free)
+        self.qp = LimbQP(3 * len(free)) if free else None
+        self._errors = NetworkErrors(settings, free)
         lower, upper = limits.ranges()
         self._lower, self._upper = lower[self._free], upper[self._free]
-        self._limited = np.array([j != 0 for j in self.free], bool)[:, None]
-        self._scale, self._plain = (
-            np.tile(np.broadcast_to(np.asarray(x, float), 24)[self._free], (3, 1)).T
-            for x in (settings.network_scale, np.deg2rad(settings.network_sigma_deg))
-        )
-        self._floor, self._ceiling, self._sigma, self._rate, self._step = np.deg2rad(
-            [
-                settings.network_floor_deg,
-                settings.network_ceiling_deg,
-                settings.orientation_sigma_deg,
-                settings.rate_limit_deg_s,
-                settings.step_sigma_deg,
-            ]
-        )
-        self._identity = np.eye(3 * len(self.free))
-        self._limbs = self.joint != 0
-        # The covariance seen last and what follows from it: a cache, nothing that a frame hands on.
-        self._known: tuple[Array, tuple[Array, Array] | None] | None = None
+        self._limited = np.array([j != 0 for j in free], bool)[:, None]
+        self._rate, self._step = np.deg2rad([settings.rate_limit_deg_s, settings.step_sigma_deg])
+        self._identity = np.eye(3 * len(free))
+        self._nothing = np.zeros((3 * len(free),) * 2), np.zeros(3 * len(free))
+
+    @property
+    def free(self) -> tuple[int, ...]:
+        """The joints that may move."""
+        return self.worn.free
+
+    @property
+    def pelvis(self) -> int | None:
+        """The sensor at the pelvis, where one is worn."""
+        return self.worn.pelvis
 
     def start(self) -> Memory:
         """Nothing remembered."""
-        F, S = len(self.free), len(self.joint)
-        return Memory(
-            np.zeros((F, 3)),
-            np.zeros((F, 3)),
-            np.zeros(3),
-            None,
-            motion_filter.stopped(S),
-            np.zeros(S),
-        )
+        F = len(self.free)
+        states = tuple(task.start(self.worn) for task in self.tasks)
+        return Memory(np.zeros((F, 3)), np.zeros((F, 3)), np.zeros(3), None, states)
 
     def refine(
         self, memory: Memory, pose: Pose, sample: Sample, dt: float
@@ -172,8 +165,7 @@ class Refinement:
         seen = sample.valid & np.isfinite(sample.R_world_bone).all((-1, -2))
         kept = R_net.copy()
         root = self._measured_root(R_net, sample, seen, memory, dt)
-        motion = self._predicted(memory.motion, sample, dt)
-        memory = replace(memory, root=root, motion=motion, R_net=kept, turn=turn)
+        memory = replace(memory, root=root, R_net=kept, turn=turn)
         unseen = "" if seen.any() else NO_MEASUREMENT
         if self.qp is None:
             return memory, Refined(R_net, pose.std_rad, unseen, {}, None)
@@ -182,24 +174,43 @@ class Refinement:
         before, onward = rotations.exp(np.array([memory.xi, coast]))
         ahead = before @ onward
         R[self._free] = R_now = R_free @ ahead
-        at = self.kinematics.at(R)
         charts = self._charts(ahead, R_free, R_now, memory)
-        terms, refused, events = self._terms(at, charts.xi, memory, pose, sample, seen)
-        H, g = tasks.normal_equations(terms)
-        answer, dv = self._solve(self.qp, H, g, charts, dt)
-        if not answer.ok:
-            still = np.zeros_like(memory.xi)
-            R_net[1:] = pose.R_parent_joint[1:]
-            memory = replace(memory, xi=still, step=still, R_free=R_net[self._free])
-            return memory, Refined(R_net, pose.std_rad, NOT_CONVERGED, events, answer)
+        at = self.kinematics.at(R)
+        errors = self._errors.of(pose)
+        frame = Frame(self.worn, at, sample, seen, pose, charts.xi, *errors, dt)
+        events: dict[str, int] = {}
+        answer = None
+        try:
+            terms, states = self._evidence(frame, memory.tasks, events)
+            H, g = normal_equations(terms) if terms else self._nothing
+            answer, dv = self._solve(self.qp, H, g, charts, dt)
+            memory = replace(memory, tasks=states)
+            if not answer.ok:
+                return self._unrefined(memory, R_net, pose, NOT_CONVERGED, events, answer)
+            memory = replace(memory, tasks=self._followed(frame, states, dv, events))
+        except TaskFailed as e:
+            return self._unrefined(memory, R_net, pose, str(e), events, answer)
         after = ahead @ rotations.exp(dv)
+        R = R.copy()  # the one before belongs to the frame's kinematics
         R[self._free] = R_now = R_free @ after
         xi, step = rotations.log(np.array([after, before.mT @ after]))
-        motion, refused_s, events["filter restarted"] = self._follow(
-            memory, at, dv, refused, sample, dt
-        )
-        memory = replace(memory, xi=xi, step=step, R_free=R_now, motion=motion, refused_s=refused_s)
+        memory = replace(memory, xi=xi, step=step, R_free=R_now)
         return memory, Refined(R, self._deviation(pose, H), unseen, events, answer)
+
+    def _unrefined(
+        self,
+        memory: Memory,
+        R_net: Array,
+        pose: Pose,
+        reason: str,
+        events: Mapping[str, int],
+        answer: QPSolution | None,
+    ) -> tuple[Memory, Refined]:
+        """The network's pose under the measured root, and the refinement begun anew."""
+        still = np.zeros_like(memory.xi)
+        R_net[1:] = pose.R_parent_joint[1:]
+        memory = replace(memory, xi=still, step=still, R_free=R_net[self._free])
+        return memory, Refined(R_net, pose.std_rad, reason, events, answer)
 
     def _smoothed(self, memory: Memory, pose: Pose, dt: float) -> tuple[Array, Array]:
         """The network's pose (24,3,3) without its tremble and its turning rates (24,3) rad/s."""
@@ -227,48 +238,37 @@ class Refinement:
         R_net[0] = R_net[0] @ rotations.exp(correction)
         return correction
 
-    def _predicted(
-        self, motion: motion_filter.SensorMotion, sample: Sample, dt: float
-    ) -> motion_filter.SensorMotion:
-        if self.pelvis is None or not self.settings.positions:
-            return motion
-        acc = np.where(sample.valid[:, None], sample.acc_world, np.nan)
-        return motion_filter.predict(motion, acc - acc[self.pelvis], dt, self.settings.filter_noise)
+    def _evidence(
+        self, frame: Frame, states: tuple[Any, ...], events: dict[str, int]
+    ) -> tuple[list[Term], tuple[Any, ...]]:
+        """All terms at this frame and the tasks' states after it; adds to `events`."""
+        terms, after = [], []
+        for task, state in zip(self.tasks, states, strict=True):
+            try:
+                term, state, counts = task.evidence(frame, state)
+                if term is not None and np.shape(term.J) != (len(term.e), len(self._identity)):
+                    raise ShapeError(f"J is {np.shape(term.J)} for a residual of {len(term.e)}")
+            except Exception as e:  # code that may not be ours: the frame gets a pose
+                raise _failed(task, e) from e
+            if term is not None:
+                terms.append(term)
+            after.append(state)
+            _count(events, counts)
+        return terms, tuple(after)
 
-    def _terms(
-        self,
-        at: Configuration,
-        xi: Array,
-        memory: Memory,
-        pose: Pose,
-        sample: Sample,
-        seen: np.ndarray,
-    ) -> tuple[list[tasks.Term], np.ndarray, dict[str, int]]:
-        """All evidence at this configuration, the predictions refused (S,), counts of what was left out."""
-        s = self.settings
-        sigma, whitener = self._network_errors(pose)
-        terms = [tasks.network(xi, whitener)]
-        use = (seen & self._limbs).nonzero()[0]
-        term, angle = tasks.orientation(at, use, sample.R_world_bone[use], self._sigma)
-        terms.append(term)
-        refused = np.zeros(len(self.joint), bool)
-        if self.pelvis is not None and s.positions:
-            use = (memory.motion.running & self._limbs).nonzero()[0]
-            p, J = tasks.relative_position(at, self.pelvis)
-            placed = tasks.position(
-                p[use],
-                J[use],
-                memory.motion.p[use],
-                memory.motion.covariance[use, 0],
-                sigma.ravel() ** 2,
-                s.position_gate_sigma,
-                s.position_robust_sigma,
-            )
-            refused[use] = placed.refused
-            terms.append(placed.term)
-        turned = int((angle > tasks.MAX_ANGLE).sum())
-        events = {"orientation refused": turned, "position refused": int(refused.sum())}
-        return terms, refused, events
+    def _followed(
+        self, frame: Frame, states: tuple[Any, ...], dv: Array, events: dict[str, int]
+    ) -> tuple[Any, ...]:
+        """The tasks' states after the solve; adds to `events`."""
+        after = []
+        for task, state in zip(self.tasks, states, strict=True):
+            try:
+                state, counts = task.follow(frame, state, dv)
+            except Exception as e:
+                raise _failed(task, e) from e
+            after.append(state)
+            _count(events, counts)
+        return tuple(after)
 
     def _charts(self, ahead: Array, R_free: Array, R_now: Array, memory: Memory) -> Charts:
         """All logarithms that this frame's problem needs, in one call; of the free joints (F,3,3) each."""
@@ -280,7 +280,7 @@ class Refinement:
 
     def _solve(
         self, qp: LimbQP, H: Array, g: Array, charts: Charts, dt: float
-    ) -> tuple[Answer, Array]:
+    ) -> tuple[QPSolution, Array]:
         """The QP's answer in rotation-vector steps, and the same as tangent steps dv (F,3).
 
         H, g: the evidence in tangent steps; the damping comes on top of it.
@@ -293,70 +293,11 @@ class Refinement:
         if charts.back is not None:
             centre[:] = np.linalg.solve(B, charts.back[..., None])[..., 0]
             reach = self._rate * dt
-        low, high = tasks.box(theta, charts.proposed, self._lower, self._upper, centre, reach)
+        low, high = box(theta, charts.proposed, self._lower, self._upper, centre, reach)
         damped = H + self._identity / (self._step**2 * dt)
-        H, g = tasks.in_rotation_vectors(damped, g, B)
+        H, g = in_rotation_vectors(damped, g, B)
         answer = qp.solve(H, g, low.ravel(), high.ravel())
         return answer, _times(B, answer.x.reshape(theta.shape))
-
-    def _follow(
-        self,
-        memory: Memory,
-        at: Configuration,
-        dv: Array,
-        refused: np.ndarray,
-        sample: Sample,
-        dt: float,
-    ) -> tuple[motion_filter.SensorMotion, Array, int]:
-        """The filters after the solve, for how long each has been refused, how many started anew."""
-        motion, noise = memory.motion, self.settings.filter_noise
-        if self.pelvis is None or not self.settings.positions:
-            return motion, memory.refused_s, 0
-        p, J = tasks.relative_position(at, self.pelvis)
-        solved = p + J @ dv.ravel()
-        refused_s = np.where(refused, memory.refused_s + dt, 0.0)
-        again = refused_s > self.settings.restart_after_s
-        measured = sample.valid & np.isfinite(sample.acc_world).all(axis=1)
-        begin = self._limbs & ~motion.running & measured & measured[self.pelvis]
-        used = motion.running & self._limbs & ~refused
-        motion = motion_filter.update(motion, solved, used, noise.solved_variance(dt))
-        motion = motion_filter.start(motion, solved, begin | again, noise)
-        return motion, np.where(again, 0.0, refused_s), int(again.sum())
-
-    def _network_errors(self, pose: Pose) -> tuple[Array, Array]:
-        """Of the free joints, sigma (F,3) rad and L (3F,3F) with L^T L the inverse of their covariance.
-
-        The covariance is the network's where it gives one: errors of joints along a limb lean against each
-        other, and without that the limb's end would seem less certain than it is. Otherwise it is the
-        diagonal of the deviations.
-        """
-        if pose.covariance is not None:
-            if self._known is None or self._known[0] is not pose.covariance:
-                self._known = (pose.covariance, self._whitened(pose.covariance))
-            if self._known[1] is not None:
-                return self._known[1]
-        sigma = self._network_sigma(pose)
-        return sigma, self._identity / sigma.ravel()
-
-    def _whitened(self, covariance: Array) -> tuple[Array, Array] | None:
-        """`_network_errors` of a covariance (72,72); None where it is not one."""
-        rows = (3 * np.array(self._free)[:, None] + np.arange(3)).ravel()
-        C = covariance[np.ix_(rows, rows)]
-        C = C + self._floor**2 * self._identity
-        try:
-            whitener = np.linalg.inv(np.linalg.cholesky(C))
-        except np.linalg.LinAlgError:  # not positive definite
-            return None
-        return np.sqrt(C.diagonal()).reshape(-1, 3), whitener
-
-    def _network_sigma(self, pose: Pose) -> Array:
-        """(F,3) rad: the network's deviation of the free joints, scaled and kept in bounds."""
-        sigma = self._plain
-        if pose.std_rad is not None:
-            stated = pose.std_rad[self._free]
-            known = np.isfinite(stated) & (stated > 0)
-            sigma = np.where(known, stated * self._scale, sigma)
-        return np.minimum(np.maximum(sigma, self._floor), self._ceiling)
 
     def _deviation(self, pose: Pose, H: Array) -> Array | None:
         """(24,3) rad: for the free joints sqrt(diag(H^-1)), for the others the network's.
@@ -378,3 +319,14 @@ class Refinement:
 def _times(M: Array, v: Array) -> Array:
     """M v (F,3) of matrices (F,3,3) and vectors (F,3)."""
     return (M @ v[..., None])[..., 0]
+
+
+def _failed(task: Task, e: Exception) -> TaskFailed:
+    """The error that names the task and what it raised."""
+    return TaskFailed(f"task {task.name} failed ({type(e).__name__})")
+
+
+def _count(events: dict[str, int], counts: Mapping[str, int]) -> None:
+    """Add counts to events, in place."""
+    for name, times in counts.items():
+        events[name] = events.get(name, 0) + times

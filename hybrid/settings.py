@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from typing import Any
 
 from hybrid.motion_filter import FilterNoise
 from mocap.errors import PoserError
+from mocap.estimator import Estimator, tracker_hints
 
 POSITIVE = (
     "orientation_sigma_deg",
@@ -22,23 +24,28 @@ POSITIVE = (
 
 @dataclass(frozen=True)
 class TrackerSettings:
-    """Sigmas are one standard deviation per axis.
+    """Sigmas are one standard deviation per axis. Where poses carry the covariance of the network's errors,
+    that is used instead of network_sigma_deg, network_scale and network_ceiling_deg.
 
-    orientation_sigma_deg: measured bone orientation (mounting, heading, soft tissue).
-    network_sigma_deg: of a joint for which the network states none. network_scale: factor on what the
-    network states. Each is one number, or 24 of them (`hybrid.scale` finds them on validation motion).
-    Where poses carry the covariance of the network's errors, that is used instead of all three.
-    network_floor_deg, network_ceiling_deg: what a stated sigma is kept within. network_memory_s: of the
-    filter that smooths the network's poses (`hybrid.refinement.smoothed`); 0 leaves them. step_sigma_deg:
-    change of the refinement (network's joint to ours) in one second, growing with the root of time; it
-    keeps its momentum over step_memory_s.
-    positions: whether the predicted sensor positions count. With the shipped DIP they make validation
-    errors 3 % larger (sip_deg): the network has read the same accelerations already.
-    position_gate_sigma: predicted positions further off are refused; after restart_after_s of refusals
-    in a row the sensor's filter starts anew. position_robust_sigma: beyond it the cost is linear.
-    rate_limit_deg_s: of any component of a joint's rotation vector. gap_s: a longer silence of the clock
-    restarts the filters. spine: whether the trunk's joints move too. translation: whether the root's path
-    is replaced by that of the contact filter.
+    orientation_sigma_deg: of a measured bone orientation (mounting, heading, soft tissue).
+    network_sigma_deg: of a joint for which the network states none; one number or 24.
+    network_scale: factor on what the network states; one number or 24.
+    network_floor_deg: least sigma that is believed.
+    network_ceiling_deg: greatest sigma that is used.
+    network_memory_s: of the filter that smooths the network's poses (`hybrid.refinement.smoothed`); 0: none.
+    step_sigma_deg: change of the refinement (network's joint to ours) in one second, growing as the
+    root of time.
+    step_memory_s: how long that change keeps its momentum.
+    positions: whether the predicted sensor positions count. With the shipped DIP they make validation errors
+    3 % larger (sip_deg): the network has read the same accelerations already.
+    position_gate_sigma: predicted positions further off are refused.
+    position_robust_sigma: beyond it the cost of a predicted position is linear.
+    restart_after_s: of refusals in a row, after which a sensor's filter starts anew.
+    rate_limit_deg_s: of any component of a joint's rotation vector.
+    gap_s: a longer silence of the clock restarts the filters.
+    spine: whether the trunk's joints move too.
+    translation: whether the root's path is replaced by that of the contact filter.
+    filter_noise: of the sensors' motion filters.
     """
 
     orientation_sigma_deg: float = 8.0
@@ -58,6 +65,17 @@ class TrackerSettings:
     spine: bool = True
     translation: bool = True
     filter_noise: FilterNoise = field(default_factory=FilterNoise)
+
+    @classmethod
+    def around(cls, network: Estimator, **changes: Any) -> TrackerSettings:
+        """The defaults around this network (`mocap.estimator.tracker_hints`), with these changes.
+
+        Raises PoserError for a hint or a change that is no setting.
+        """
+        stated = {**tracker_hints(network), **changes}
+        if odd := sorted(stated.keys() - {f.name for f in fields(cls)}):
+            raise PoserError(f"TrackerSettings: no setting {', '.join(odd)}")
+        return cls(**stated)
 
     def __post_init__(self) -> None:
         if not 0 <= self.network_memory_s < float("inf"):

@@ -8,15 +8,16 @@ in the state.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from hybrid import contact, intake
+from hybrid import contact, incoming
 from hybrid.refinement import Memory, Refinement
 from hybrid.settings import TrackerSettings
+from hybrid.tasks import Task
 from mocap import sensors as places
 from mocap.errors import SensorError
 from mocap.estimator import Estimator, Pose, Sample
@@ -61,8 +62,11 @@ class TrackerState:
 class Tracker:
     """`Estimator` around a network's `Estimator`: same rate, sensors and look-ahead.
 
-    joint (S,), seat (S,3) m: where the sensors sit; default, the table of places. skeleton: the body;
-    default, the table's. Raises SensorError for sensors that are not in the table without them.
+    settings: default, those that the network asks for (`TrackerSettings.around`). tasks: what makes up a
+    frame's cost; default, `hybrid.tasks.standard` of the settings, to which more can be added
+    (`hybrid.tasks`). joint (S,), seat (S,3) m: where the sensors sit; default, the table of places.
+    skeleton: the body; default, the table's. Raises SensorError for sensors that are not in the table
+    without them.
     """
 
     def __init__(
@@ -70,12 +74,13 @@ class Tracker:
         network: Estimator,
         settings: TrackerSettings | None = None,
         *,
+        tasks: Sequence[Task] | None = None,
         skeleton: Skeleton | None = None,
         joint: np.ndarray | None = None,
         seat: Array | None = None,
     ) -> None:
         self.network = network
-        self.settings = settings or TrackerSettings()
+        self.settings = settings or TrackerSettings.around(network)
         self.rate_hz = check_rate(network.rate_hz, "Tracker")
         self.sensors = tuple(network.sensors)
         self.look_ahead_frames = int(network.look_ahead_frames)
@@ -88,7 +93,7 @@ class Tracker:
             raise SensorError(
                 f"Tracker: joint and seat must be given for {len(self.sensors)} sensors"
             )
-        self.refinement = Refinement(self.skeleton, np.asarray(joint), seat, self.settings)
+        self.refinement = Refinement(self.skeleton, np.asarray(joint), seat, self.settings, tasks)
         self._contact = contact.Contact(self.skeleton)
 
     def init(self) -> TrackerState:
@@ -99,7 +104,7 @@ class Tracker:
         """Feed one sample; the refined pose of `look_ahead_frames` ago, or None before the first."""
         counts = defaultdict(int, state.counts)
         expected = state.samples[-1].time_s + 1 / self.rate_hz if state.samples else 0.0
-        sample, events = intake.clean(sample, len(self.sensors), expected)
+        sample, events = incoming.clean(sample, len(self.sensors), expected)
         _add(counts, events)
         kept = self.look_ahead_frames + 1 + SPARE_SAMPLES
         samples = (*state.samples, sample)[-kept:]
@@ -126,7 +131,7 @@ class Tracker:
             return self.network.init(), None, NETWORK_FAILED
         if answer is None:
             return state, None, NETWORK_SILENT
-        pose = intake.proposal(answer)
+        pose = incoming.proposal(answer)
         return state, pose, "" if pose is not None else NETWORK_BROKEN
 
     def _pose(
@@ -138,7 +143,7 @@ class Tracker:
             return state, self._held(state, due.time_s), trouble
         if pose.note:
             counts[NETWORK_NOTE] += 1
-        sample = intake.sample_at(state.samples, pose.time_s, 0.5 / self.rate_hz)
+        sample = incoming.sample_at(state.samples, pose.time_s, 0.5 / self.rate_hz)
         if self.settings.translation and np.isfinite(state.root.p).all():
             # Whatever happens to this frame, the root stays where its path has led.
             pose = replace(pose, p_world_root=np.array(state.root.p))

@@ -17,9 +17,9 @@ from safetensors.torch import load_file
 from safetensors.torch import save as serialised
 from torch import Tensor
 
+from learned.config import Config, Normalisation
 from learned.errors import CheckpointError
-from learned.features import Normalisation
-from learned.models import Config, Model, build
+from learned.model import Model, build
 from mocap.formats._files import write_aside
 
 SCHEMA = "poser-weights/1"
@@ -31,7 +31,7 @@ ROUNDING = 1e-4  # of a covariance in single precision, relative to its greatest
 
 
 def shipped(network: str) -> Path:
-    """The weights of dip or imuposer that come with the package."""
+    """A network's weights that come with the package."""
     return WEIGHTS / f"{network}.safetensors"
 
 

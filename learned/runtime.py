@@ -23,14 +23,13 @@ import warnings
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import linear
 
-from learned.dip.network import BiRNN, Gaussian
-from learned.models import Dip, Imuposer, Model
+from learned.model import Model
 
 Precision = Literal["float32", "int8"]
 EVERY = 1_000_000  # frames of layer 2 before and after the emitted one: all that there are
@@ -43,8 +42,8 @@ class Runtime(Protocol):
         """What can be kept of each frame: (n,W) of inputs (n,D)."""
         ...
 
-    def features(self, rows: Tensor, emit: int) -> Tensor:
-        """What the heads read at frame `emit`: (F,) of a window's rows (T,W)."""
+    def answer(self, rows: Tensor, emit: int) -> Any:
+        """The model's answer (`Model.forward`) for frame `emit` alone, of a window's rows (T,W)."""
         ...
 
 
@@ -114,16 +113,20 @@ def _weights(lstm: nn.LSTM, name: str) -> tuple[Tensor, Tensor, Tensor]:
 
 
 class TwoLayers:
-    """`Runtime` of BiRNN (either number of directions) and IMUPoser; reach: of layer 2, frames."""
+    """`Runtime` of a dense layer and two LSTM layers of one or two directions (`Model.layers`).
+
+    head: what makes a frame's answer of the features behind them. reach: of layer 2, frames.
+    """
 
     def __init__(
         self,
         dense: nn.Linear,
         lstm: nn.LSTM,
+        head: Callable[[Tensor], Any],
         precision: Precision = "float32",
         reach: int = EVERY,
     ) -> None:
-        self.reach = reach
+        self.reach, self._head = reach, head
         sides = ("", "_reverse") if lstm.bidirectional else ("",)
         kind = Int8 if precision == "int8" else Exact
         self._dense_W, self._dense_b = dense.weight.detach(), dense.bias.detach()
@@ -139,7 +142,11 @@ class TwoLayers:
         x = torch.relu(linear(x, self._dense_W, self._dense_b))
         return linear(x, self._W, self._b) if self._keeps_shares else x
 
+    def answer(self, rows: Tensor, emit: int) -> Any:
+        return self._head(self.features(rows, emit))
+
     def features(self, rows: Tensor, emit: int) -> Tensor:
+        """What the head reads at frame `emit`: (F,)."""
         begin, end = max(0, emit - self.reach), emit + 1
         if len(self._first) == 1:
             return self._second[0].run(self._layer_1(0, rows[:end])[begin:])[-1]
@@ -185,13 +192,8 @@ class Plain:
     def rows(self, x: Tensor) -> Tensor:
         return x
 
-    def features(self, rows: Tensor, emit: int) -> Tensor:
-        out = self.model(rows.unsqueeze(0))
-        if isinstance(out, Gaussian):
-            return torch.cat([out.pose, out.pose_deviation, out.acc, out.acc_deviation], -1)[
-                0, emit
-            ]
-        return out[0, emit]
+    def answer(self, rows: Tensor, emit: int) -> Any:
+        return self.model(rows.unsqueeze(0))[0, emit]
 
 
 def prepare(model: Model, precision: Precision = "float32", reach: int | None = None) -> Runtime:
@@ -200,9 +202,9 @@ def prepare(model: Model, precision: Precision = "float32", reach: int | None = 
     reach: frames of layer 2 on either side of the emitted one; default: what was measured for these weights.
     """
     reach = reach or model.reach or EVERY
-    if isinstance(model, Imuposer) or isinstance(model.net, BiRNN):
-        return TwoLayers(model.net.dense, model.net.lstm, precision, reach)  # type: ignore[arg-type]
-    return Plain(model)
+    if model.layers is None:
+        return Plain(model)
+    return TwoLayers(*model.layers, model.head, precision, reach)
 
 
 def fastest() -> Precision:
@@ -213,22 +215,6 @@ def fastest() -> Precision:
     except (RuntimeError, AttributeError):  # NotImplementedError is a RuntimeError
         return "float32"
     return "int8" if torch.allclose(found, lstm(torch.ones(3, 4))[0], atol=0.05) else "float32"
-
-
-def gaussian(model: Dip, runtime: Runtime, features: Tensor) -> Gaussian:
-    """DIP's prediction for the emitted frame, (135,) and (15,), scaled units."""
-    if isinstance(runtime, Plain):
-        sizes = (135, 135, 15, 15)
-        return Gaussian(*features.split(sizes))
-    out: Gaussian = model.net.heads(features)  # type: ignore[operator]
-    return out
-
-
-def pose_numbers(model: Imuposer, runtime: Runtime, features: Tensor) -> Tensor:
-    """IMUPoser's 144 numbers of the emitted frame."""
-    if isinstance(runtime, Plain):
-        return features
-    return model.net.head(features)
 
 
 def one_thread() -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -64,6 +64,17 @@ class Estimator(Protocol):
     def step(self, state: Any, sample: Sample) -> tuple[Any, Pose | None]:
         """Feed one sample; the pose of `look_ahead_frames` ago, or None before the first."""
         ...
+
+
+def tracker_hints(estimator: Estimator) -> Mapping[str, Any]:
+    """What a tracker around an estimator should set other than by default: names and values of its settings
+    (`hybrid.TrackerSettings`), from the estimator's attribute `tracker_hints`, where it has one.
+
+    Networks differ in how fast their errors change and in what their sensors tell; who trained one
+    measured it.
+    """
+    found: Mapping[str, Any] = getattr(estimator, "tracker_hints", {})
+    return found
 
 
 def samples(recording: Recording) -> Iterator[Sample]:

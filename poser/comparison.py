@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from learned.registry import specification
 from mocap import sensors as places
 from mocap.errors import PoserError
 from mocap.motion import Motion
@@ -19,6 +20,7 @@ from mocap.recording import Recording
 from mocap.skeleton import Skeleton
 from poser.console import Progress, part
 from poser.estimators import (
+    HYBRIDS,
     at_once,
     check_devices,
     everyday,
@@ -26,12 +28,13 @@ from poser.estimators import (
     network_of_weights,
     used,
 )
+from poser.estimators import METHODS as ONLINE
 from poser.report.results import NO_SKILL, Compared, Lost, Result
 
 if TYPE_CHECKING:
     from sip import Settings
 
-METHODS = ("sop", "sip", "dip", "imuposer", "imuposer-adam", "hybrid-dip", "hybrid-imuposer")
+METHODS = ("sop", "sip", *(m for m in ONLINE if m != "hybrid"), *HYBRIDS)
 ALIASES = {"hybrid": "hybrid-dip"}
 SOLVED = ("sop", "sip")
 NETWORK = {m: network_of(m) for m in METHODS if m not in SOLVED}
@@ -170,11 +173,12 @@ def read_by(job: Job, name: str) -> tuple[str, ...]:
     """
     if name in SOLVED:
         return job.sensors or six_of(job.recording)
-    if NETWORK[name] != "imuposer":
-        return tuple(used(NETWORK[name], job.sensors or six_of(job.recording)).values())
+    network = NETWORK[name]
+    if specification(network).needs_all:
+        return tuple(used(network, job.sensors or six_of(job.recording)).values())
     there = job.sensors or job.recording.sensors
-    found = used("imuposer", job.devices or everyday(there, job.recording))
-    check_devices(at_once(found, job.recording), "--devices")
+    found = used(network, job.devices or everyday(network, there, job.recording))
+    check_devices(network, at_once(network, found, job.recording), "--devices")
     return tuple(found.values())
 
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+import learned
+from learned.registry import specification
+from learned.spec import named
 from mocap.errors import PoserError, SensorError
 
 if TYPE_CHECKING:
@@ -17,18 +20,17 @@ if TYPE_CHECKING:
     from mocap.recording import Recording
     from mocap.skeleton import Skeleton
 
-METHODS = ("dip", "imuposer", "imuposer-adam", "hybrid")
-NETWORKS = ("dip", "imuposer")
-MOST_DEVICES = 3  # that IMUPoser is trained on at a time
+NETWORKS = tuple(learned.NETWORKS)
+METHODS = (
+    *(
+        f"{n}{way}"
+        for n, s in learned.NETWORKS.items()
+        for way in ("", *(f"-{r}" for r in s.refiners))
+    ),
+    "hybrid",
+)
+HYBRIDS = tuple(f"hybrid-{n}" for n in NETWORKS)
 RARE_S = 0.5  # a device that sends more rarely is gone in between
-# The hybrid's settings around each network, beside the defaults: what IMUPoser gets wrong changes faster, and
-# one to three devices do not tell how spine and pelvis share an error. By validation clips:
-# `benchmarks/methods.py --split validation --part imuposer --tracker JSON`.
-TRACKER: dict[str, dict[str, Any]] = {
-    "dip": {},
-    "imuposer": {"step_sigma_deg": 80.0, "spine": False},
-}
-_EVERYDAY = (("left_wrist", "right_pocket", "head"), ("left_wrist", "right_wrist", "head"))
 
 
 def stand_in(place: str, sensors: Sequence[str]) -> str | None:
@@ -42,45 +44,49 @@ def stand_in(place: str, sensors: Sequence[str]) -> str | None:
     return next(others, None)
 
 
-def devices_of(sensors: Sequence[str]) -> tuple[str, ...]:
-    """What IMUPoser sees of these where nothing is said: a watch, a phone in a pocket and earphones, else two
-    watches and earphones (or sensors on the same bones); else what there is of IMUPoser's five places,
-    at most three."""
-    from mocap import sensors as places
-
-    for wanted in _EVERYDAY:
+def devices_of(network: str, sensors: Sequence[str]) -> tuple[str, ...]:
+    """What a network that reads some of its places at a time sees of these where nothing is said: what its
+    specification calls everyday (of IMUPoser a watch, a phone in a pocket and earphones, else two watches and
+    earphones), or sensors on the same bones; else the first of its places that it is trained on together."""
+    spec = specification(network)
+    for wanted in spec.everyday:
         found = tuple(stand_in(n, sensors) for n in wanted)
         if all(found):
             return tuple(f for f in found if f)
-    have = {n: s for n in places.FIVE if (s := stand_in(n, sensors))}
-    names = list(have)[:MOST_DEVICES]
-    if names == ["left_pocket", "right_pocket", "head"]:  # not among IMUPoser's combinations
-        names = ["left_pocket", "head"]
+    have = {n: s for n in spec.places if (s := stand_in(n, sensors))}
+    names = list(have)[: spec.most]
+    if names and not spec.trained_on(names):  # the last but one is left out first
+        parts = [names[:k] + names[k + 1 :] for k in range(len(names) - 2, -1, -1)]
+        names = next((part for part in parts if spec.trained_on(part)), names[:1])
     return tuple(have[n] for n in names)
 
 
-def everyday(sensors: Sequence[str], recording: Recording | None = None) -> tuple[str, ...]:
-    """These sensors where IMUPoser can use all that serve it, else `devices_of` them: where nobody chose.
+def everyday(
+    network: str, sensors: Sequence[str], recording: Recording | None = None
+) -> tuple[str, ...]:
+    """These sensors where the network can use all that serve it, else `devices_of` them: where nobody chose.
 
     recording: the one that they are of; without it all are taken for worn at the same time.
     """
-    found = used("imuposer", sensors)
+    spec = specification(network)
+    found = used(network, sensors)
     if recording is None:
-        fits = len(found) <= MOST_DEVICES
+        fits = len(found) <= spec.most
     else:
-        fits = trained_on(at_once(found, recording))
-    return tuple(sensors) if fits else devices_of(sensors)
+        fits = spec.trained_on(at_once(network, found, recording))
+    return tuple(sensors) if fits else devices_of(network, sensors)
 
 
-def at_once(found: dict[str, str], recording: Recording) -> dict[str, str]:
+def at_once(network: str, found: dict[str, str], recording: Recording) -> dict[str, str]:
     """Of `used`, those that the recording has valid at the same time: the most, and of as many those that
-    IMUPoser is not trained on.
+    the network is not trained on.
 
     A phone that changes pockets is valid in one of them at a time: two columns, one device. Devices whose
     samples take turns in the rows are worn together: each counts until its next sample is due.
     """
     import numpy as np
 
+    trained_on = specification(network).trained_on
     columns = [recording.sensors.index(sensor) for sensor in found.values()]
     worn = np.unique(_spread(recording.ori_valid[:, columns], recording.rate_hz), axis=0)
     sets = [{p: found[p] for p, on in zip(found, row, strict=True) if on} for row in worn]
@@ -99,48 +105,46 @@ def _spread(valid: NDArray[np.bool_], rate_hz: float) -> NDArray[np.bool_]:
     return out
 
 
-def trained_on(places: Collection[str]) -> bool:
-    """Whether IMUPoser is trained on devices at these places together: three at most, and not both pockets
-    with the head (its Fig. 3)."""
-    return len(places) <= MOST_DEVICES and set(places) != {"left_pocket", "right_pocket", "head"}
-
-
 def network_of(method: str, network: str | None = None) -> str:
-    """dip or imuposer: the network that a method runs; the hybrid's is `network`, dip where nothing is said.
+    """The network that a method runs; the hybrid's is `network`, the first where nothing is said.
 
     Raises PoserError for a method or network that is unknown, or a network that is not the method's.
     """
     name, _, own = method.partition("-")
-    if method not in (*METHODS, "hybrid-dip", "hybrid-imuposer"):
+    if method not in (*METHODS, *HYBRIDS):
         raise PoserError(f"method {method!r} unknown; known: {', '.join(METHODS)}")
     if network is not None and network not in NETWORKS:
         raise PoserError(f"network {network!r} unknown; known: {', '.join(NETWORKS)}")
     fixed = own if name == "hybrid" else name
     if fixed and network not in (None, fixed):
         raise PoserError(f"method {method} runs the network {fixed}, not {network}")
-    return fixed or network or "dip"
+    return fixed or network or NETWORKS[0]
 
 
 def used(network: str, sensors: Sequence[str]) -> dict[str, str]:
     """Place -> sensor: what the network reads of the sensors there are, in its own order.
 
-    DIP needs all of `six`; IMUPoser takes what there is of `five`. Raises SensorError naming what is missing.
+    DIP needs all of its six places; IMUPoser takes what there is of its five. Raises SensorError naming what
+    is missing.
     """
-    from mocap import sensors as places
-
-    wanted = places.SIX if network == "dip" else places.FIVE
-    found = {p: s for p in wanted if (s := stand_in(p, sensors)) is not None}
-    missing = [p for p in wanted if p not in found]
-    if network == "dip" and missing:
+    spec = specification(network)
+    found = {p: s for p in spec.places if (s := stand_in(p, sensors)) is not None}
+    missing = [p for p in spec.places if p not in found]
+    if spec.needs_all and missing:
         raise SensorError(
-            f"dip needs {', '.join(wanted)}: there is no {', '.join(missing)}; "
+            f"{network} needs {', '.join(spec.places)}: there is no {', '.join(missing)}; "
             f"there is: {', '.join(sensors)}"
         )
     if not found:
         raise SensorError(
-            f"imuposer needs one to three of {', '.join(wanted)}; there is: {', '.join(sensors)}"
+            f"{network} needs one to {_word(spec.most)} of {', '.join(spec.places)}; "
+            f"there is: {', '.join(sensors)}"
         )
     return found
+
+
+def _word(n: int) -> str:
+    return ("no", "one", "two", "three", "four", "five", "six")[n] if n <= 6 else str(n)
 
 
 def served_words(found: Mapping[str, str]) -> list[str]:
@@ -150,7 +154,7 @@ def served_words(found: Mapping[str, str]) -> list[str]:
 
 
 def network_of_weights(path: Path) -> str:
-    """dip or imuposer: what the weights of a file are of, by the description beside them.
+    """The network that the weights of a file are of, by the description beside them.
 
     Raises PoserError where one of the two is absent or no such description.
     """
@@ -172,18 +176,19 @@ def check_weights(path: Path | None, network: str) -> None:
         raise PoserError(f"{path}: weights of {found}, expected {network}")
 
 
-def check_devices(found: dict[str, str], option: str = "--sensors") -> None:
-    """IMUPoser's devices as worn all at once (of a recording: `at_once`): raises SensorError where it was not
-    trained on them.
+def check_devices(network: str, found: dict[str, str], option: str = "--sensors") -> None:
+    """The network's devices as worn all at once (of a recording: `at_once`): raises SensorError where it was
+    not trained on them.
 
     option: the argument that chooses others.
     """
-    if not trained_on(found):
-        few = len(found) <= MOST_DEVICES
-        why = "both pockets and the head together" if few else f"{len(found)} devices"
+    spec = specification(network)
+    if not spec.trained_on(found):
+        few = len(found) <= spec.most
+        why = f"{', '.join(found)} together" if few else f"{len(found)} devices"
         raise SensorError(
-            f"imuposer is trained on one to three devices at a time, not on {why}: choose with {option}, "
-            f"for example {','.join(list(found.values())[:2])}"
+            f"{network} is trained on one to {_word(spec.most)} devices at a time, not on {why}: choose with "
+            f"{option}, for example {','.join(list(found.values())[:2])}"
         )
 
 
@@ -201,41 +206,43 @@ def make(
 ) -> Estimator:
     """The estimator of a method for samples at `rate_hz`; its `sensors` are those of `sensors` that it reads.
 
-    network: the hybrid's. weights: a file (default: the shipped ones). window: DIP's frames before and
-    after (default: 20,5). skeleton: the wearer's body. joint (S,), seat (S,3) m: where `sensors` sit, for the
-    hybrid and for Adam (default: the table of places); networks know places by their names alone. IMUPoser
-    may be given all five places: it reads those that are valid at the time (`check_devices` is the caller's).
-    Raises PoserError where something does not fit.
+    network: the hybrid's. weights: a file (default: the shipped ones). window: frames before and after
+    the one answered for, of a network whose window can be chosen (DIP; default: 20,5). skeleton: the
+    wearer's body. joint (S,), seat (S,3) m: where `sensors` sit, for the hybrid and for Adam (default:
+    the table of places); networks know places by their names alone. IMUPoser may be given all five
+    places: it reads those that are valid at the time (`check_devices` is the caller's). Raises PoserError
+    where something does not fit.
     """
     which = network_of(method, network)
     found = used(which, sensors)
-    if window is not None and which != "dip":
-        raise PoserError("a window can be chosen for dip alone; imuposer's is 125 frames")
-    from learned import checkpoint, online, runtime
-    from learned.models import Dip, Imuposer
+    check_window(which, window)
+    from learned import runtime
     from mocap import sensors as places
 
     runtime.one_thread()
-    model = checkpoint.load(weights or checkpoint.shipped(which), which)
-    names, precision = tuple(found.values()), runtime.fastest()
-    estimator: Estimator
-    if isinstance(model, Dip):
-        estimator = online.dip(model, rate_hz, window or (20, 5), names, skeleton, precision)
-    else:
-        assert isinstance(model, Imuposer)
-        place = tuple(places.FIVE.index(p) for p in found)
-        estimator = online.imuposer(model, rate_hz, names, place, skeleton, precision)
-    if method not in ("imuposer-adam", "hybrid", "hybrid-dip", "hybrid-imuposer"):
+    names = tuple(found.values())
+    estimator: Estimator = learned.estimator(
+        which, rate_hz, names, tuple(found), weights=weights, window=window, skeleton=skeleton
+    )
+    if method == which:
         return estimator
     read = [list(sensors).index(n) for n in names]
     table_joint, table_seat = places.joints_and_seats(names)
     joint = table_joint if joint is None else joint[read]
-    if method == "imuposer-adam":
-        from learned.imuposer.adam import AdamEstimator
-
-        return AdamEstimator(estimator, tuple(joint.tolist()))
-    from hybrid import Tracker, TrackerSettings
+    spec, way = specification(which), method.removeprefix(f"{which}-")
+    if way in spec.refiners:
+        refined: Estimator = named(spec.refiners[way])(estimator, tuple(joint.tolist()))
+        return refined
+    from hybrid import Tracker
 
     seat = table_seat if seat is None else seat[read]
-    settings = TrackerSettings(**TRACKER[which])
-    return Tracker(estimator, settings, skeleton=skeleton, joint=joint, seat=seat)
+    return Tracker(estimator, skeleton=skeleton, joint=joint, seat=seat)
+
+
+def check_window(network: str, window: tuple[int, int] | None) -> None:
+    """Raises PoserError where a window is given and the network's cannot be chosen."""
+    spec = specification(network)
+    if window is not None and not spec.window_changes:
+        free = ", ".join(n for n, s in learned.NETWORKS.items() if s.window_changes)
+        frames = sum(spec.window) + 1
+        raise PoserError(f"a window can be chosen for {free} alone; {network}'s is {frames} frames")

@@ -61,7 +61,7 @@ def track(
 
     skeleton: the wearer's body. Raises PoserError where the recording's sensors do not serve the method.
     """
-    from learned.models import RATES
+    from learned import specification
     from mocap.estimator import replay
     from poser.estimators import make
 
@@ -72,4 +72,4 @@ def track(
     )  # fmt: skip
     run = replay(estimator, recording, lambda share: progress(share, method), skeleton)
     ahead, names = estimator.look_ahead_frames, estimator.sensors
-    return Tracked(run, method, network, ahead, names, RATES[network])
+    return Tracked(run, method, network, ahead, names, specification(network).rate_hz)

@@ -10,6 +10,7 @@ from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import learned
 from mocap.errors import PoserError
 from poser import files, options
 from poser.console import (
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from learned.training.trainer import Trainer
     from learned.training.validation import Windowed
 
-NETWORKS = ("dip", "imuposer")
+NETWORKS = tuple(learned.NETWORKS)
 
 
 def count(text: str) -> int:
@@ -117,9 +118,9 @@ def changes(args: Namespace) -> dict[str, Any]:
 
 def check_hidden(args: Namespace) -> None:
     """Raises UsageError where --hidden says how wide layers are that have widths of their own."""
-    from learned.models import FIXED_WIDTHS
+    from learned import specification
 
-    if args.hidden and args.architecture in FIXED_WIDTHS:
+    if args.hidden and args.architecture in specification(args.network).fixed_widths:
         raise UsageError(f"argument --hidden: not with --architecture {args.architecture}")
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -31,11 +32,10 @@ class Gaussian:
     acc: Tensor
     acc_deviation: Tensor
 
-    def at(self, t: int) -> Gaussian:
-        """Of frame t alone: (B,135) and (B,15)."""
-        return Gaussian(
-            self.pose[:, t], self.pose_deviation[:, t], self.acc[:, t], self.acc_deviation[:, t]
-        )
+    def __getitem__(self, index: Any) -> Gaussian:
+        """Of some windows and frames, as a tensor is indexed."""
+        fields = (self.pose, self.pose_deviation, self.acc, self.acc_deviation)
+        return Gaussian(*(x[index] for x in fields))
 
 
 class Heads(nn.Module):
@@ -55,7 +55,7 @@ class Heads(nn.Module):
         )
 
 
-class Network(nn.Module):
+class GaussianNetwork(nn.Module):
     """What appendix A's networks have in common."""
 
     heads: Heads
@@ -63,12 +63,12 @@ class Network(nn.Module):
     def untaught(self, reconstruct_acc: bool) -> list[nn.Module]:
         """Layers that the loss does not depend on.
 
-        reconstruct_acc: whether the loss counts the accelerations (`learned.training.losses.dip`).
+        reconstruct_acc: whether the loss counts the accelerations (`learned.dip.loss`).
         """
         return [] if reconstruct_acc else [self.heads.acc, self.heads.acc_deviation]
 
 
-class BiRNN(Network):
+class BiRNN(GaussianNetwork):
     """Dense 512 + ReLU, two stacked bidirectional LSTM layers of 512, heads (3.4, Fig. 12).
 
     The authors' code has a further dense layer of 256 before the heads; the paper has none and is
@@ -89,7 +89,7 @@ class BiRNN(Network):
         return self.heads(recurrent.run(self.lstm, x) if self.training else self.lstm(x)[0])
 
 
-class FeedForward(Network):
+class FeedForward(GaussianNetwork):
     """Five dense layers of 256, 512, 512, 256, 256 on a window of 20 past and 5 future frames (A)."""
 
     past, future = 20, 5
@@ -115,7 +115,7 @@ class FeedForward(Network):
         return self.heads(self.layers(windows.transpose(-1, -2).flatten(-2)))
 
 
-class WaveNet(Network):
+class WaveNet(GaussianNetwork):
     """Dilated causal convolutions with gated units (van den Oord et al. 2016), five frames late (A).
 
     The paper gives no sizes: here 128 channels, kernels of 2, dilations 1, 2, 4, 8 and 1, 2, 4, 8 (a

@@ -13,9 +13,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from learned.models import Dip
-from learned.online.estimator import Answer
-from learned.runtime import Runtime, gaussian, prepare
+from learned.dip.model import Dip
+from learned.dip.specification import SPECIFICATION
+from learned.online.estimator import NetworkPose
+from learned.runtime import Runtime, prepare
 from mocap.errors import PoserError, SensorError
 from mocap.orientation import Array
 
@@ -38,7 +39,7 @@ class DipState:
 
 
 class DipWindow:
-    """`learned.online.estimator.Network` of a DIP model.
+    """`learned.online.estimator.RollingWindow` of a DIP model.
 
     sensors: the six names as the recording has them, in DIP's order. Raises PoserError for a window that
     is not a number of frames.
@@ -69,19 +70,20 @@ class DipWindow:
     @torch.inference_mode()
     def tick(
         self, state: DipState | None, R: Array, acc: Array, present: NDArray[np.bool_], jumped: bool
-    ) -> tuple[DipState, Answer | None]:
+    ) -> tuple[DipState, NetworkPose | None]:
         state = self._fed(state, R, acc, present, jumped)
         if state.had <= self.future:
             return state, None
-        features = self.runtime.features(self._window(state), self.past)
-        out = gaussian(self.model, self.runtime, features)
-        pose = self.model.pose(out, torch.as_tensor(state.R_world_root[0], dtype=torch.float32))
+        out = self.runtime.answer(self._window(state), self.past)
+        pose = self.model.pose_under(
+            out, torch.as_tensor(state.R_world_root[0], dtype=torch.float32)
+        )
         std = self.model.pose_deviation(out, pose)
         local = pose.double().numpy()
         local[0] = state.R_world_root[0]
         lost = [name for name, gone in zip(self.sensors, state.lost[0], strict=True) if gone]
         note = f"nothing from {', '.join(lost)}" if lost else ""
-        return state, Answer(local, std.double().numpy(), note, self._covariance)
+        return state, NetworkPose(local, std.double().numpy(), note, self._covariance)
 
     def _fed(
         self, state: DipState | None, R: Array, acc: Array, present: NDArray[np.bool_], jumped: bool
@@ -139,3 +141,16 @@ class DipWindow:
         if self._relative:
             return self._computed(state.samples[index])
         return torch.as_tensor(state.rows[index] if jump else state.rows)
+
+
+def window(
+    model: Dip,
+    sensors: tuple[str, ...],
+    places: tuple[str, ...],
+    frames: tuple[int, int] | None,
+    runtime: Runtime,
+) -> DipWindow:
+    """`Specification.online`. Raises SensorError for other places than DIP's, PoserError for a window."""
+    if places != SPECIFICATION.places:
+        raise SensorError(f"DIP reads {', '.join(SPECIFICATION.places)}, in this order")
+    return DipWindow(model, frames or SPECIFICATION.window, sensors, runtime)

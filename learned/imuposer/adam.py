@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from mocap import gate
 from mocap import orientation as ori
 from mocap import sensors as places
 from mocap.errors import PoserError, SensorError
@@ -31,9 +32,11 @@ CHAINS: dict[int, tuple[int, ...]] = {
 
 @dataclass(frozen=True)
 class AdamSettings:
-    """steps: per frame (4.4). learning_rate: rad per step, about; the paper states none, this
-    one is from validation clips (`benchmarks/networks.py --adam`). The rest are
-    Adam's own constants."""
+    """steps: per frame (4.4).
+    learning_rate: rad per step, about; the paper states none, this one is from validation clips
+    (`benchmarks/networks.py --adam`).
+    beta1, beta2, epsilon: Adam's own constants.
+    """
 
     steps: int = 10
     learning_rate: float = 0.02
@@ -132,12 +135,8 @@ class AdamEstimator:
         state = AdamState(inner, samples)
         if pose is None:
             return state, None
-        used = [s for s in range(len(self.sensors)) if _usable(samples[0], s)]
+        usable = samples[0].valid & gate.is_rotation(samples[0].R_world_bone)
+        used = [int(s) for s in usable.nonzero()[0]]
         joints = tuple(self.joint[s] for s in used)
         R = refine(pose.R_parent_joint, joints, samples[0].R_world_bone[used], self.settings)
         return state, replace(pose, R_parent_joint=R)
-
-
-def _usable(sample: Sample, s: int) -> bool:
-    R = sample.R_world_bone[s]
-    return bool(sample.valid[s]) and bool((np.abs(R) < 2).all()) and bool(ori.is_rotation(R))

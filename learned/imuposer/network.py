@@ -10,10 +10,11 @@ from learned import recurrent
 POSE = 144  # 24 joints x 6D
 
 
-class IMUPoser(nn.Module):
+class BiLSTM(nn.Module):
     """Linear 512 + ReLU, two-layer BiLSTM of 512, linear to 144; 10.7 M parameters (4.1).
 
-    Input (B,T,60) of `learned.features.imuposer_input`. Input dropout 0.2, as the authors' code has it.
+    Input (B,T,60) of `learned.imuposer.features.imuposer_input`. Input dropout 0.2, as the authors' code
+    has it.
     """
 
     def __init__(self, inputs: int = 60, hidden: int = 512, dropout: float = 0.2) -> None:

@@ -15,15 +15,15 @@ import torch
 from numpy.typing import NDArray
 
 from learned.errors import CheckpointError
-from learned.features import ACC_WINDOW, COMBINATIONS, imuposer_input, imuposer_pose
-from learned.models import Imuposer
-from learned.online.estimator import Answer
-from learned.runtime import Runtime, pose_numbers, prepare
+from learned.imuposer.features import ACC_WINDOW, imuposer_input, imuposer_pose
+from learned.imuposer.model import Imuposer
+from learned.imuposer.specification import COMBINATIONS, FRAMES, SPECIFICATION
+from learned.online.estimator import NetworkPose
+from learned.runtime import Runtime, prepare
 from mocap import sensors as places
-from mocap.errors import SensorError
+from mocap.errors import PoserError, SensorError
 from mocap.orientation import Array
 
-FRAMES = 125
 _EDGE = (
     ACC_WINDOW // 2
 )  # frames at both ends whose smoothed acceleration changes as the window moves
@@ -39,11 +39,11 @@ class ImuposerState:
     acc: NDArray[np.float32]
     rows: NDArray[np.float32] | None = None
     worn: tuple[int, ...] = ()
-    last: Answer | None = None
+    last: NetworkPose | None = None
 
 
 class ImuposerWindow:
-    """`learned.online.estimator.Network` of an IMUPoser model.
+    """`learned.online.estimator.RollingWindow` of an IMUPoser model.
 
     sensors: the devices as the recording has them; place: the index in `mocap.sensors.FIVE` of each
     (default: by name). frames: length of the window. Raises SensorError for a sensor that is none of the
@@ -84,7 +84,7 @@ class ImuposerWindow:
         acc: Array,
         present: NDArray[np.bool_],
         jumped: bool,
-    ) -> tuple[ImuposerState, Answer | None]:
+    ) -> tuple[ImuposerState, NetworkPose | None]:
         have = tuple(sorted(p for p, here in zip(self.place, present, strict=True) if here))
         worn = self.nearest(have)
         state, kept = self._fed(state, R, acc, present, jumped)
@@ -92,14 +92,17 @@ class ImuposerWindow:
             last = state.last
             # Frames pass without rows of theirs: those kept would be in the wrong place afterwards.
             state = replace(state, rows=None, worn=())
-            return state, last and Answer(last.R_parent_joint, last.std_rad, "no device is worn")
+            return state, last and NetworkPose(
+                last.R_parent_joint, last.std_rad, "no device is worn"
+            )
         rows = self._rows(state, worn, kept)
-        features = self.runtime.features(rows, self.frames - 1)
-        pose = imuposer_pose(pose_numbers(self.model, self.runtime, features))
+        pose = imuposer_pose(self.runtime.answer(rows, self.frames - 1))
         which = COMBINATIONS.index(worn)
         std = self.model.deviation_rad[which]
         note = "" if worn == have else f"worn {_names(have)}: only {_names(worn)} is used"
-        answer = Answer(pose.double().numpy(), std.double().numpy(), note, self._covariance[which])
+        answer = NetworkPose(
+            pose.double().numpy(), std.double().numpy(), note, self._covariance[which]
+        )
         return ImuposerState(state.R, state.acc, rows.numpy(), worn, answer), answer
 
     def nearest(self, worn: tuple[int, ...]) -> tuple[int, ...]:
@@ -154,3 +157,21 @@ class ImuposerWindow:
 
 def _names(worn: tuple[int, ...]) -> str:
     return ", ".join(places.FIVE[p] for p in worn)
+
+
+def window(
+    model: Imuposer,
+    sensors: tuple[str, ...],
+    stands_for: tuple[str, ...],
+    frames: tuple[int, int] | None,
+    runtime: Runtime,
+) -> ImuposerWindow:
+    """`Specification.online`. Raises SensorError for places not IMUPoser's, PoserError for a window."""
+    if frames not in (None, SPECIFICATION.window):
+        raise PoserError(f"IMUPoser's window is {FRAMES} frames")
+    odd = [p for p in stands_for if p not in places.FIVE]
+    if odd or not stands_for:
+        five = ", ".join(places.FIVE)
+        raise SensorError(f"sensor {', '.join(odd) or '(none)'}: IMUPoser reads {five}")
+    place = tuple(places.FIVE.index(p) for p in stands_for)
+    return ImuposerWindow(model, sensors, place, runtime=runtime)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -9,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from learned.online import resampling
-from learned.online.intake import Held, take
+from learned.online.holding import Held, take
 from mocap import orientation as ori
 from mocap.errors import ShapeError
 from mocap.estimator import Pose, Sample
@@ -21,7 +22,7 @@ UNKNOWN_RAD = np.pi / 2  # deviation of a joint of which nothing is known
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
+class NetworkPose:
     """A network's pose: R_parent_joint (24,3,3), std_rad (24,3), why it is a fallback, if it is, and the
     covariance of its errors as in `mocap.estimator.Pose`."""
 
@@ -31,7 +32,7 @@ class Answer:
     covariance: Array | None = None
 
 
-class Network(Protocol):
+class RollingWindow(Protocol):
     """Frames at `rate_hz` in, the pose of `future` frames ago out; None where nothing is known of it.
 
     tick(state, R_world_bone (S,3,3), acc_world (S,3), present (S,), jumped): `state` None starts. Frames
@@ -44,7 +45,7 @@ class Network(Protocol):
 
     def tick(
         self, state: Any, R: Array, acc: Array, present: NDArray[np.bool_], jumped: bool
-    ) -> tuple[Any, Answer | None]: ...
+    ) -> tuple[Any, NetworkPose | None]: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,24 +54,31 @@ class OnlineState:
 
     network: the network's state. ticks: frames it has had. recent: the samples that the next tick needs.
     waiting: our time and the stamp of the samples whose poses are due. answers: the network's poses, our
-    time first, that these lie between. Our time: s of `learned.online.intake`, at equal rates frames.
+    time first, that these lie between. Our time: s of `learned.online.holding`, at equal rates frames.
     """
 
     network: Any = None
     ticks: int = 0
     recent: tuple[Held, ...] = ()
     waiting: tuple[tuple[float, float], ...] = ()
-    answers: tuple[tuple[float, Answer], ...] = ()
+    answers: tuple[tuple[float, NetworkPose], ...] = ()
 
 
 class Online:
     """The estimator. The pelvis stays at the height of the standing body: networks tell no translation.
 
-    Raises ShapeError for a rate outside 1 to 10,000 Hz.
+    tracker_hints: `mocap.estimator.tracker_hints` of it. Raises ShapeError for a rate outside 1 to 10,000 Hz.
     """
 
-    def __init__(self, network: Network, rate_hz: float, skeleton: Skeleton | None = None) -> None:
+    def __init__(
+        self,
+        network: RollingWindow,
+        rate_hz: float,
+        skeleton: Skeleton | None = None,
+        tracker_hints: Mapping[str, Any] | None = None,
+    ) -> None:
         self.network = network
+        self.tracker_hints = dict(tracker_hints or {})
         self.rate_hz = check_rate(rate_hz, "Online")
         self.sensors = network.sensors
         self.look_ahead_frames = resampling.look_ahead(
@@ -141,7 +149,9 @@ class Online:
             answers = (*answers, (time - self._late, answer))
         return replace(state, network=network, ticks=state.ticks + 1, answers=answers)
 
-    def _between(self, answers: tuple[tuple[float, Answer], ...], now: float, stamp: float) -> Pose:
+    def _between(
+        self, answers: tuple[tuple[float, NetworkPose], ...], now: float, stamp: float
+    ) -> Pose:
         """The pose at time `now`, geodesically between the network's; outside them the ends hold."""
         if not answers:  # nothing has been measured, or samples came faster than their rate
             rest = np.tile(np.eye(3), (24, 1, 1))

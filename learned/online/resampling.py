@@ -1,6 +1,6 @@
 """From the source's rate to the network's, sample by sample.
 
-Tick k of the network is k / rate on our own clock (`intake`). Orientations are interpolated geodesically.
+Tick k of the network is k / rate on our own clock (`holding`). Orientations are interpolated geodesically.
 Networks are trained on accelerations that are second differences of positions at the network's own rate,
 (p(t - T) - 2 p(t) + p(t + T)) / T^2 with T = 1 / rate, which is the acceleration averaged over t - T to
 t + T with triangular weights. So is done here: weights max(0, 1 - |t_i - t| / w), w the longer of the two
@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from learned.online.intake import Held
+from learned.online.holding import Held
 from mocap import orientation as ori
 from mocap.orientation import Array
 
@@ -52,7 +52,7 @@ def at_tick(recent: tuple[Held, ...], tick_s: float, reach: float) -> tuple[Arra
     """R_world_bone (S,3,3) and acc_world (S,3) m/s^2 at a tick that is due.
 
     A sensor's samples before its first orientation hold that one, and the acceleration with it: they measured
-    nothing, and what stands for it (`intake.take`) must not be mixed into the first ticks.
+    nothing, and what stands for it (`holding.take`) must not be mixed into the first ticks.
     """
     times = np.array([h.time_s for h in recent])
     k = int(np.clip(np.searchsorted(times, tick_s + _ROUNDING_S, side="right") - 1, 0, None))

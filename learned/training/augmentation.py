@@ -11,14 +11,17 @@ from mocap.synthesis import Noise
 class Augmentation:
     """How training motion is varied, per window (design, networks.md).
 
-    mirror: probability of exchanging left and right. splice: probability of putting the legs of one clip
-    under the trunk and arms of another. warp: the time scale is exp(uniform(-warp, warp)), accelerations
-    follow from the warped motion. bend_deg: size of a smooth random bending of each joint, 1 sigma per
-    axis: half of it constant over the window, half a slow sine. tilt_deg: the same for the pelvis.
-    heading: random heading of the whole window. scale: 1 sigma of the body's size (log). seat_m: 1 sigma
-    of the sensors' seats besides the noise's own. noise: the sensor noise; noise_scale (low, high): it is
-    multiplied by a number drawn uniformly between these for every window. tilt and bend leave the
-    reference consistent: sensors are put on the motion as augmented.
+    mirror: probability of exchanging left and right.
+    splice: probability of putting the legs of one clip under the trunk and arms of another.
+    warp: the time scale is exp(uniform(-warp, warp)); accelerations follow from the warped motion.
+    bend_deg: size of a smooth random bending of each joint, 1 sigma per axis: half of it constant over the
+    window, half a slow sine. The reference bends too: sensors are put on the motion as augmented.
+    tilt_deg: the same for the pelvis.
+    heading: whether the whole window is turned to a random heading.
+    scale: 1 sigma of the body's size (log).
+    seat_m: 1 sigma of the sensors' seats besides the noise's own.
+    noise: of the sensors.
+    noise_scale: (low, high); each window's noise is multiplied by a number drawn uniformly between them.
     """
 
     mirror: float = 0.5

@@ -11,7 +11,7 @@ from typing import Any
 import torch
 
 from learned import checkpoint
-from learned.models import FIXED_WIDTHS
+from learned.registry import of_architecture
 from learned.training import deviations
 from learned.training.reach import measured
 from learned.training.validation import Windowed, score
@@ -116,16 +116,16 @@ def _reach(online: dict[str, Any]) -> list[str]:
 def card(name: str, record: dict[str, Any]) -> str:
     """The model card of a description, in Markdown."""
     config, figures = record["config"], record.get("validation", {})
-    network = "IMUPoser" if config["architecture"] == "imuposer" else "DIP"
+    network = of_architecture(config["architecture"])
     training = record.get("training", {})
     data = record.get("data", {})
-    sized = config["architecture"] not in FIXED_WIDTHS
+    sized = config["architecture"] not in network.fixed_widths
     units = f", {config['hidden']} units" if sized else ""
     precision = f", {record['precision']}" if "precision" in record else ""
     lines = [
         f"# {name}",
         "",
-        f"{network} ({config['architecture']}{units}), {config['rate_hz']:g} Hz, "
+        f"{network.title} ({config['architecture']}{units}), {config['rate_hz']:g} Hz, "
         f"sensors in this order: {', '.join(config['sensors'])}.",
         "",
         "Use: body poses from body-worn inertial sensors, offline or live. Not meant for medical or safety "

@@ -8,15 +8,15 @@ number is therefore measured on validation windows when weights are exported, an
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from learned import devices, runtime
-from learned import kinematics as kin
-from learned.features import dip_pose, imuposer_input, imuposer_pose
-from learned.models import Dip, Model
+from learned import runtime
+from learned import tree as kin
+from learned.model import Model
 from learned.training.validation import Windowed
 
 NEARLY_DEG = 0.5  # of the worst joint, mean over windows: what "nearly exact" means here
@@ -29,18 +29,18 @@ def inputs(model: Model, windows: Windowed, most: int = MOST_WINDOWS) -> Tensor:
     pick = np.unique(
         np.linspace(0, len(windows.clip) - 1, min(most, len(windows.clip))).astype(int)
     )
-    R, acc = windows.R_world_bone[pick], windows.acc_world[pick]
-    if isinstance(model, Dip):
-        return model.inputs(R, acc)[0]
-    return imuposer_input(R, acc, devices.in_turn(0, windows.there[pick]))
+    return model.examples(
+        windows.R_world_bone[pick],
+        windows.acc_world[pick],
+        windows.R_parent_joint[pick],
+        model.in_turn(0, windows.there[pick]),
+    )[0]
 
 
-def pose_of(model: Model, way: runtime.Runtime, features: Tensor) -> Tensor:
-    """Global rotations (24,3,3), the pelvis of DIP upright."""
-    if isinstance(model, Dip):
-        out = runtime.gaussian(model, way, features).pose
-        return kin.rotations(dip_pose(model.output_scaler.unscale(out), torch.eye(3)))
-    return kin.rotations(imuposer_pose(runtime.pose_numbers(model, way, features)))
+def pose_of(model: Model, out: Any) -> Tensor:
+    """Global rotations (24,3,3) of a frame's answer, all sensors upright."""
+    upright = torch.eye(3).expand(len(model.config.sensors), 3, 3)
+    return kin.rotations(model.pose(out, upright))
 
 
 @torch.inference_mode()
@@ -52,9 +52,9 @@ def differences(
     plain = runtime.Plain(model)
     off: dict[int, list[float]] = {n: [] for n in reaches}
     for window in x:
-        whole = pose_of(model, plain, plain.features(plain.rows(window), emit))
+        whole = pose_of(model, plain.answer(plain.rows(window), emit))
         for n, way in ways.items():
-            found = pose_of(model, way, way.features(way.rows(window), emit))
+            found = pose_of(model, way.answer(way.rows(window), emit))
             off[n].append(float(torch.rad2deg(kin.angle_between(found, whole)).max()))
     return {n: (float(np.mean(v)), max(v)) for n, v in off.items()}
 

@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from learned import devices
-from learned import kinematics as kin
+from learned import tree as kin
+from learned.online import holding
 from learned.training.validation import held
 from learned.training.virtual import Batch
 from mocap import orientation as ori
@@ -91,7 +91,7 @@ class Recorded:
             raise PoserError(
                 f"no recording with a reference of {frames} frames or more to train on"
             )
-        worn = [devices.there(r)[frames - 1 :] for r in long]  # at the end of each window
+        worn = [holding.there(r)[frames - 1 :] for r in long]  # at the end of each window
         long = [r for r, w in zip(long, worn, strict=True) if w.any()]
         if not long:
             raise PoserError(

@@ -13,7 +13,8 @@ import numpy as np
 import torch
 
 from learned.errors import TrainingError
-from learned.models import Model
+from learned.model import Model
+from learned.registry import NETWORKS
 from learned.training.settings import TrainSettings
 from learned.training.validation import Windowed
 from mocap.formats._files import write_aside
@@ -201,7 +202,9 @@ def _flat(settings: dict[str, Any], before: str = "") -> dict[str, Any]:
 
 
 def _network(settings: dict[str, Any]) -> str:
-    return "imuposer" if settings.get("config.architecture") == "imuposer" else "dip"
+    """Its name; empty where a state names no architecture that is known."""
+    architecture = settings.get("config.architecture")
+    return next((n for n, s in NETWORKS.items() if architecture in s.architectures), "")
 
 
 def _value(x: Any) -> str:

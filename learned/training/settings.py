@@ -6,8 +6,9 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from learned.checkpoint import LARGEST_HIDDEN
+from learned.config import Config, for_network
 from learned.errors import TrainingError
-from learned.models import Config, for_network
+from learned.registry import specification
 from learned.training.augmentation import Augmentation
 
 
@@ -15,15 +16,25 @@ from learned.training.augmentation import Augmentation
 class TrainSettings:
     """A training run.
 
-    steps: optimizer steps, at most (None: the clock alone decides). batch, frames: windows per step and
-    their length. learning_rate, decay, decay_steps: the rate is learning_rate * decay ** (step /
-    decay_steps). clip: gradient norm. cooldown: the last share of the steps over which the rate falls
-    linearly to zero as well (0: none, as in the papers). average: decay of the running mean of the
-    weights that is validated and shipped (0: the weights themselves). reconstruct_acc: DIP's second loss
-    (eq. 5). patience: validations without a lesser pose error (`trainer.pose_error`) after which
-    training stops early (0: never). every: steps between validations. bfloat16: mixed precision where it is
-    faster (`training.precision`; False: single precision everywhere). minutes: stop after this long (None: no
-    limit), the cooldown following the clock then.
+    config: what is trained.
+    steps: optimizer steps, at most (None: the clock alone decides).
+    batch: windows per step.
+    frames: of a window.
+    learning_rate: of Adam, at step 0.
+    decay: the rate is learning_rate * decay ** (step / decay_steps).
+    decay_steps: see decay.
+    clip: of the gradient's norm.
+    cooldown: the last share of the run over which the rate falls linearly to zero as well (0: none, as in the
+    papers).
+    average: decay of the running mean of the weights that is validated and shipped (0: the weights alone).
+    reconstruct_acc: whether the loss counts predicted accelerations (DIP's eq. 5), where there are any.
+    patience: validations without a lesser pose error (`trainer.pose_error`) after which training stops (0:
+    never).
+    every: steps between validations.
+    bfloat16: mixed precision where it is faster (`training.precision`); False: single precision everywhere.
+    minutes: stop after this long (None: no limit), the cooldown following the clock then.
+    seed: of windows, dropout and first weights.
+    augmentation: how the motion is varied.
     """
 
     config: Config = field(default_factory=Config)
@@ -79,13 +90,8 @@ class TrainSettings:
         with one combination of devices drawn for each, and a number of steps, where the paper has windows
         that do not overlap, 24 copies of each (4.2) and 80 epochs (4.3).
         """
-        if network == "imuposer":
-            base: dict[str, Any] = {
-                "config": for_network("imuposer"), "batch": 256, "frames": 125, "learning_rate": 3e-4,
-                "decay": 1.0, "clip": float("inf"),
-            }  # fmt: skip
-            return cls(**(base | changes))
-        return cls(**changes)
+        base = {"config": for_network(network), **specification(network).schedule}
+        return cls(**(base | changes))
 
     def to_json(self) -> dict[str, Any]:
         """As JSON."""

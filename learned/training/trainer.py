@@ -23,12 +23,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from learned import checkpoint, devices
-from learned.dip import network as dip
+from learned import checkpoint
 from learned.errors import CheckpointError, TrainingError
-from learned.features import dip_target, imuposer_input
-from learned.models import Dip, Model, build
-from learned.training import losses
+from learned.model import Model, build
 from learned.training.interrupts import Interrupts
 from learned.training.parallel import World
 from learned.training.precision import bfloat16_pays
@@ -37,14 +34,12 @@ from learned.training.settings import TrainSettings
 from learned.training.validation import Windowed, score
 from learned.training.virtual import Batch
 from mocap.errors import PoserError
-from mocap.skeleton import Skeleton
 
 SAVE_EVERY_S = 60.0
-_SCALER_BATCHES = 40  # batches that the scalers are fitted to
 _GO, _DONE, _STOP = 0.0, 1.0, 2.0  # what the first process decides before every step
 
 
-class Source(Protocol):
+class BatchSource(Protocol):
     """Where batches come from."""
 
     def draw(self, rng: np.random.Generator, count: int) -> Batch: ...
@@ -74,7 +69,7 @@ class Trainer:
     def __init__(
         self,
         settings: TrainSettings,
-        source: Source,
+        source: BatchSource,
         validation: Windowed,
         folder: Path,
         about: dict[str, Any] | None = None,
@@ -93,13 +88,9 @@ class Trainer:
         torch.manual_seed(settings.seed)
         self.model: Model = build(settings.config) if start is None else copy.deepcopy(start)
         self.model.requires_grad_(True).train().to(self.device)
-        if isinstance(self.model.net, dip.Network):
-            # Several processes would wait for gradients that nobody computes.
-            for layer in self.model.net.untaught(settings.reconstruct_acc):
-                layer.requires_grad_(False)
-        self.offsets = torch.as_tensor(
-            np.array(Skeleton.default().offsets), dtype=torch.float32
-        ).to(self.device)
+        # Several processes would wait for gradients that nobody computes.
+        for layer in self.model.untaught(settings.reconstruct_acc):
+            layer.requires_grad_(False)
         self._seed()
         self.average = copy.deepcopy(self.model).eval().requires_grad_(False)
         self.optimizer = torch.optim.Adam(self.model.parameters(), lr=settings.learning_rate)
@@ -115,7 +106,7 @@ class Trainer:
     def _begin(self, fit: bool) -> None:
         """The first process alone looks into its folder and measures; all begin with what it has then.
 
-        fit: the scalers, where the run is new. Raises TrainingError in every process where the first cannot
+        fit: `Model.fit`, where the run is new. Raises TrainingError in every process where the first cannot
         begin, or where this one was given other settings: its learning rates would be others.
         """
         shared: dict[str, Any] = {}
@@ -144,21 +135,13 @@ class Trainer:
         if self.files.state.exists():
             self._resume()
         else:
-            if fit and isinstance(self.model, Dip):
-                self._fit_scalers(self.model)
+            if fit:
+                rng = np.random.default_rng(self.settings.seed)
+                self.model.fit(lambda count: self.source.draw(rng, count))
                 self.average.load_state_dict(self.model.state_dict())
             self.earlier = self.files.set_aside()
         if self.settings.bfloat16:
             self.bfloat16 = bfloat16_pays(self.device, self.bfloat16)
-
-    def _fit_scalers(self, model: Dip) -> None:
-        rng = np.random.default_rng(self.settings.seed)
-        batches = [self.source.draw(rng, 64) for _ in range(_SCALER_BATCHES)]
-        model.fit_scalers(
-            torch.cat([b.R_world_bone for b in batches]),
-            torch.cat([b.acc_world for b in batches]),
-            torch.cat([b.R_parent_joint for b in batches]),
-        )
 
     def _seed(self) -> None:
         """Each process draws windows and dropout of its own; the weights are already alike."""
@@ -246,17 +229,11 @@ class Trainer:
         model, s = self.model, self.settings
         half = self.precision == "bfloat16"
         mixed = torch.autocast(self.device.type, torch.bfloat16) if half else nullcontext()
-        if isinstance(model, Dip):
-            x, acc = model.inputs(batch.R_world_bone, batch.acc_world)
-            pose = model.output_scaler.scale(dip_target(batch.R_parent_joint))
-            with mixed:
-                out = self.called(x)
-            return losses.dip(out, pose, acc, s.reconstruct_acc)
-        worn = devices.drawn(self.rng, batch.there)
-        x = imuposer_input(batch.R_world_bone, batch.acc_world, worn)
+        shown = model.drawn(self.rng, batch.there)
+        x, target = model.examples(batch.R_world_bone, batch.acc_world, batch.R_parent_joint, shown)
         with mixed:
-            y = self.called(x)
-        return losses.imuposer(y, batch.R_parent_joint, self.offsets)
+            out = self.called(x)
+        return model.loss(out, target, s.reconstruct_acc)
 
     def _validate(self, progress: Progress | None, interrupts: Interrupts) -> None:
         interrupts.may_break = self.world.size == 1

@@ -14,13 +14,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from learned import devices
-from learned import kinematics as kin
-from learned.features import dip_target, imuposer_input, imuposer_pose
-from learned.models import RATES, Dip, Model
-from learned.training import losses
+from learned import tree as kin
+from learned.model import Model
+from learned.online import holding
+from learned.registry import specification
 from learned.training.corpus import prepared
-from mocap import sensors as places
 from mocap import synthesis
 from mocap.errors import PoserError
 from mocap.evaluation.metrics import MASKED, SIP_JOINTS
@@ -29,8 +27,6 @@ from mocap.recording import Recording
 from mocap.skeleton import Skeleton
 from mocap.synthesis import Noise
 
-SEEN = {"dip": (20, 5), "imuposer": (124, 0)}  # past and future frames that the online runner shows
-MOST_WINDOWS = {"dip": 1500, "imuposer": 360}  # of a validation set: seconds of work on a CPU
 LONGEST_S = 15.0
 CHUNK = 256  # windows at a time
 
@@ -40,7 +36,7 @@ class Windowed:
     """N windows cut from recordings: (N,T,S,...) sensors, and the truth (N,T,24,3,3) of every frame.
 
     emit: the frame of each window that the network answers for. clip (N,): where it was cut from. there
-    (N,S): the sensors that are worn at that frame (`learned.devices.there`).
+    (N,S): the sensors that are worn at that frame (`learned.online.holding.there`).
     """
 
     R_world_bone: Tensor
@@ -92,7 +88,7 @@ def cut(recordings: Iterable[Recording], past: int, future: int, stride: int = 1
         accs.append(acc[at].astype(np.float32))
         truths.append(recording.reference.R_parent_joint[at].astype(np.float32))
         clips.append(np.full(len(at), i))
-        worn.append(devices.there(recording)[::stride])
+        worn.append(holding.there(recording)[::stride])
     return Windowed(
         torch.as_tensor(np.concatenate(Rs)),
         torch.as_tensor(np.concatenate(accs)),
@@ -110,14 +106,14 @@ def recordings(
 
     Motions shorter than a second are left out, longer ones cut to `LONGEST_S`. noise: default realistic.
     """
-    rate, out = RATES[network], []
+    spec, out = specification(network), []
+    rate = spec.rate_hz
     for name, motion in clips:
         motion = prepared(motion).resampled(rate)
         if motion.seconds >= 1:
             motion = motion.slice(0, int(LONGEST_S * rate))
-            sensors = places.FIVE if network == "imuposer" else places.SIX
             seed = zlib.crc32(name.encode())
-            out.append(synthesis.recording(motion, sensors, noise or Noise(), seed))
+            out.append(synthesis.recording(motion, spec.places, noise or Noise(), seed))
     return out
 
 
@@ -129,9 +125,10 @@ def cut_for(network: str, recordings: Sequence[Recording], most: int | None = No
     """
     if not recordings:
         raise PoserError("no motion of a second or more to validate on")
-    past, future = SEEN[network]
+    spec = specification(network)
+    past, future = spec.window
     frames = sum(len(r) for r in recordings)
-    stride = max(1, round(frames / (most or MOST_WINDOWS[network])))
+    stride = max(1, round(frames / (most or spec.most_windows)))
     windows = cut(recordings, past, future, stride)
     worn = windows.there.any(1)
     if not worn.any():
@@ -151,29 +148,21 @@ def _trusted(recording: Recording) -> np.ndarray:
 def predict(model: Model, windows: Windowed, reconstruct_acc: bool = True) -> tuple[Tensor, float]:
     """Local rotations (N,24,3,3) of the emitted frames, and the loss, mean over windows.
 
-    IMUPoser wears one of its 24 combinations in each window, in turn, of those whose devices are there.
-    reconstruct_acc: whether DIP's loss counts the accelerations (it must not where it did not in training:
-    nothing taught those heads).
+    A network of several combinations of devices is shown one in each window, in turn, of those whose devices
+    are there. reconstruct_acc: whether a loss counts predicted accelerations (it must not where it did not in
+    training: nothing taught those heads).
     """
     poses: list[Tensor] = []
-    total = 0.0
-    offsets = torch.as_tensor(np.array(Skeleton.default().offsets), dtype=torch.float32)
+    total, t = 0.0, windows.emit
     with torch.inference_mode():
         for i in range(0, len(windows.clip), CHUNK):
             part = slice(i, i + CHUNK)
             R, acc = windows.R_world_bone[part], windows.acc_world[part]
-            truth, t = windows.R_parent_joint[part], windows.emit
-            if isinstance(model, Dip):
-                x, target_acc = model.inputs(R, acc)
-                out = model(x)
-                target = model.output_scaler.scale(dip_target(truth))
-                total += len(R) * float(losses.dip(out, target, target_acc, reconstruct_acc))
-                poses.append(model.pose(out.at(t), R[:, t, 5]))
-            else:
-                worn = devices.in_turn(i, windows.there[part])
-                y = model(imuposer_input(R, acc, worn))
-                total += len(R) * float(losses.imuposer(y, truth, offsets))
-                poses.append(imuposer_pose(y[:, t]))
+            shown = model.in_turn(i, windows.there[part])
+            x, target = model.examples(R, acc, windows.R_parent_joint[part], shown)
+            out = model(x)
+            total += len(R) * float(model.loss(out, target, reconstruct_acc))
+            poses.append(model.pose(out[:, t], R[:, t]))
     return torch.cat(poses), total / len(windows.clip)
 
 
@@ -211,15 +200,3 @@ def score(model: Model, windows: Windowed, reconstruct_acc: bool = True) -> dict
     poses, loss = predict(model, windows, reconstruct_acc)
     model.train(was_training)
     return figures(poses, windows) | {"loss": loss}
-
-
-def imuposer_poses(model: Model, windows: Windowed, combination: Sequence[int]) -> Tensor:
-    """Local rotations (N,24,3,3) of the emitted frames with these devices worn."""
-    worn = torch.zeros(5, dtype=torch.bool)
-    worn[list(combination)] = True
-    poses = []
-    for i in range(0, len(windows.clip), CHUNK):
-        R, acc = windows.R_world_bone[i : i + CHUNK], windows.acc_world[i : i + CHUNK]
-        x = imuposer_input(R, acc, worn.expand(len(R), 5))
-        poses.append(imuposer_pose(model(x)[:, windows.emit]))
-    return torch.cat(poses)

@@ -14,7 +14,7 @@ import torch
 from scipy.ndimage import spline_filter1d
 from torch import Tensor
 
-from learned import kinematics as kin
+from learned import tree as kin
 from learned.training.augmentation import Augmentation
 from learned.training.corpus import RATE_HZ, Corpus
 from mocap import sensors as places

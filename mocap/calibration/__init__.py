@@ -8,12 +8,21 @@ from mocap.exports import lazy
 
 if TYPE_CHECKING:
     from mocap.calibration.pose_facing import PoseName
-    from mocap.calibration.procedure import Calibration, calibrate
+    from mocap.calibration.procedure import calibrate, diagnose
+    from mocap.calibration.record import Calibration
+    from mocap.calibration.words import sentence, summary
 
-__all__ = ["Calibration", "PoseName", "calibrate"]
+__all__ = ["Calibration", "PoseName", "calibrate", "diagnose", "sentence", "summary"]
 
 # Readers need the checks alone, not what calibration imports of scipy.
 __getattr__ = lazy(
     __name__,
-    {"Calibration": "procedure", "calibrate": "procedure", "PoseName": "pose_facing"},
+    {
+        "Calibration": "record",
+        "PoseName": "pose_facing",
+        "calibrate": "procedure",
+        "diagnose": "procedure",
+        "sentence": "words",
+        "summary": "words",
+    },
 )

@@ -16,166 +16,27 @@ pose, where a bias along gravity would have left 0.10.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Any, Literal
+from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
 from mocap import orientation as ori
 from mocap import sensors as places
-from mocap.calibration import diagnostics as checks
-from mocap.calibration import fusion, pose_facing
-from mocap.calibration.checks.channels import without_spikes
+from mocap.calibration import checks, fusion, pose_facing
+from mocap.calibration.evidence import Evidence, Held, gather
 from mocap.calibration.pose_facing import OtherPose, PoseName
-from mocap.calibration.static_pose import Pose, Window, average, find_static
+from mocap.calibration.record import Calibration, Source, turned
+from mocap.calibration.static_pose import StaticPose, Window, average, find_static
+from mocap.calibration.words import summary
 from mocap.errors import CalibrationError
 from mocap.findings import Finding
-from mocap.motion import Motion
 from mocap.orientation import Array
 from mocap.recording import RawRecording, Recording
 from mocap.stances import ARM_ANGLE_DEG, pose_bones
 
-SCHEMA = "poser-calibration/1"
 Orientation = Literal["auto", "file", "vqf"]
-
-
-@dataclass(frozen=True, eq=False)
-class Calibration:
-    """How S sensors sit on their bones, and how sure that is.
-
-    sensors: their places. R_bone_sensor (S,3,3). heading (S,) rad: turns each sensor's world about y
-    into the one in which the wearer faced +z in the pose. heading_sigma (S,) rad: 1-sigma of it, pi
-    where it was merely assumed or could be the opposite. pose: "n" or "t". arm_angle_deg: of the N-pose.
-    time: start and end of the pose in s on the recording's clock. method: what the heading rests on, in
-    words. orientation: "file" or "vqf" (with "vqf" and no magnetometer the headings hold for this recording
-    alone, R_bone_sensor for as long as the sensors stay where they are). diagnostics: the findings.
-    acc_scale (S,): factor on acc, ones unless given.
-    """
-
-    sensors: tuple[str, ...]
-    R_bone_sensor: Array
-    heading: Array
-    heading_sigma: Array
-    pose: str
-    arm_angle_deg: float
-    time: tuple[float, float]
-    method: str
-    orientation: str
-    diagnostics: tuple[Finding, ...] = ()
-    acc_scale: Array = None  # type: ignore[assignment]
-
-    def __post_init__(self) -> None:
-        S = len(self.sensors)
-        if self.acc_scale is None:
-            object.__setattr__(self, "acc_scale", np.ones(S))
-        for name, shape in (
-            ("R_bone_sensor", (S, 3, 3)),
-            ("heading", (S,)),
-            ("heading_sigma", (S,)),
-            ("acc_scale", (S,)),
-        ):
-            value = np.array(getattr(self, name), float)
-            if value.shape != shape or not np.isfinite(value).all():
-                raise CalibrationError(
-                    f"Calibration: {name} must be finite and {shape}, got {value.shape}"
-                )
-            value.setflags(write=False)
-            object.__setattr__(self, name, value)
-        if not ori.is_rotation(self.R_bone_sensor).all():
-            s = int(np.argmin(ori.is_rotation(self.R_bone_sensor)))
-            raise CalibrationError(
-                f"Calibration: R_bone_sensor of {self.sensors[s]} is not a rotation"
-            )
-
-    def to_json(self) -> str:
-        """All of it as JSON text."""
-        return json.dumps(self.to_dict())
-
-    def to_dict(self) -> dict[str, Any]:
-        """All of it as plain JSON-like data: what a Recording carries as `calibration`."""
-        return {
-            "schema": SCHEMA,
-            "sensors": list(self.sensors),
-            "R_bone_sensor": self.R_bone_sensor.tolist(),
-            "heading_rad": self.heading.tolist(),
-            "heading_sigma_rad": self.heading_sigma.tolist(),
-            "acc_scale": self.acc_scale.tolist(),
-            "pose": self.pose,
-            "arm_angle_deg": self.arm_angle_deg,
-            "time_s": list(self.time),
-            "method": self.method,
-            "orientation": self.orientation,
-            "diagnostics": [f.to_dict() for f in self.diagnostics],
-        }
-
-    @classmethod
-    def from_json(cls, text: str) -> Calibration:
-        """Inverse of `to_json`. Raises CalibrationError where the text is something else."""
-        try:
-            data = json.loads(text)
-            if data["schema"] != SCHEMA:
-                raise CalibrationError(
-                    f"calibration: schema is {data['schema']!r}, expected {SCHEMA!r}"
-                )
-            return cls(
-                tuple(map(str, data["sensors"])),
-                np.array(data["R_bone_sensor"], float),
-                np.array(data["heading_rad"], float),
-                np.array(data["heading_sigma_rad"], float),
-                str(data["pose"]),
-                float(data["arm_angle_deg"]),
-                (float(data["time_s"][0]), float(data["time_s"][1])),
-                str(data["method"]),
-                str(data["orientation"]),
-                tuple(Finding(**f) for f in data["diagnostics"]),
-                np.array(data["acc_scale"], float),
-            )
-        except (ValueError, KeyError, TypeError, IndexError) as e:
-            raise CalibrationError(f"not a calibration: {type(e).__name__} {e}") from e
-
-    def apply(self, raw: RawRecording) -> Recording:
-        """The calibrated recording of `raw`, which must have these sensors (others are left out).
-
-        Uses R_world_sensor of `raw`; where it has none, or the calibration was made with VQF, it is
-        fused again. A reference motion is turned so that its pelvis faces +z during the pose, as the
-        result does. Raises CalibrationError where a sensor is missing.
-        """
-        missing = [n for n in self.sensors if n not in raw.sensors]
-        if missing:
-            raise CalibrationError(
-                f"calibration is for sensor {', '.join(missing)}, which the recording lacks; it has: "
-                f"{', '.join(raw.sensors)}"
-            )
-        raw, _ = without_spikes(raw.select(self.sensors))
-        if self.orientation == "vqf" or raw.R_world_sensor is None:
-            raw = fusion.with_orientation(raw)
-        return self._apply(raw)
-
-    def _apply(self, raw: RawRecording) -> Recording:
-        assert raw.R_world_sensor is not None
-        R_turned = ori.rot_y(self.heading) @ raw.R_world_sensor
-        acc = np.einsum("tsij,tsj->tsi", R_turned, raw.acc * self.acc_scale[:, None])
-        acc[..., 1] -= ori.GRAVITY
-        return Recording(
-            raw.rate_hz,
-            self.sensors,
-            R_turned @ np.swapaxes(self.R_bone_sensor, -1, -2),
-            acc,
-            valid=raw.valid & np.isfinite(raw.R_world_sensor).all((-1, -2)),
-            reference=self._turned_reference(raw),
-            calibration=self.to_dict(),
-            start_s=raw.start_s,
-        )
-
-    def _turned_reference(self, raw: RawRecording) -> Motion | None:
-        """The reference facing +z in the pose; None where the pose lies outside the recording."""
-        start, stop = (round((t - raw.start_s) * raw.rate_hz) for t in self.time)
-        if raw.reference is None or start < 0 or stop > len(raw):
-            return None
-        pelvis = raw.reference.R_world_joint[start:stop, 0]
-        return raw.reference.turned(-float(ori.heading(ori.mean(pelvis))))
 
 
 def calibrate(
@@ -202,59 +63,115 @@ def calibrate(
     the result comes anyway, and the findings are in its `diagnostics`. A wearer who moves at a time that was
     given is an error above `NEVER_STILL` rad/s, below it a warning.
     """
+    _allowed(raw, orientation)
     joints, _ = places.joints_and_seats(raw.sensors)
     bones = pose_bones(joints, pose, arm_angle_deg)
+    other = OtherPose(*second, pose_bones(joints, second[0], arm_angle_deg)) if second else None
+
+    # Gather.
+    source: Source = "vqf" if raw.R_world_sensor is None or orientation == "vqf" else "file"
+    sensed = gather(raw if source == "file" else replace(raw, R_world_sensor=None))
+    findings = _refused_if(strict, checks.run(sensed, "sensors"))
+    window = find_static(sensed.raw, at)
+    fused = sensed.raw if source == "file" else fusion.with_orientation(sensed.raw)
+    static = average(fused, window)
+
+    # Decide.
+    faced = pose_facing.find(fused, static, window, bones, pose == "n", facing, axes, other)
+    held = Held(window, static, pose, arm_angle_deg, faced.phi, faced.sigma)
+
+    # Check.
+    findings += _rival(raw, window) + faced.findings
+    findings += checks.run(Evidence(fused, (), held, raw.sensors), "body", "pose")
+    findings = checks.settled(_refused_if(strict, findings))
+
+    # Apply.
+    scale = scale_acc and window.still
+    result = _calibration(raw, bones, held, faced.method, source, findings, scale)
+    return turned(fused, result), result
+
+
+def _allowed(raw: RawRecording, orientation: Orientation) -> None:
     if orientation == "file" and raw.R_world_sensor is None:
         raise CalibrationError("the recording carries no orientation: use orientation='vqf'")
-    source = "file" if raw.R_world_sensor is not None and orientation != "vqf" else "vqf"
-    raw, findings = without_spikes(raw)
-    findings += checks.check_before(raw if source == "file" else replace(raw, R_world_sensor=None))
-    if strict and any(f.severity == "error" for f in findings):
-        raise CalibrationError(checks.summary(findings))
-    window = find_static(raw, at)
-    if window.rival:
-        findings.append(_rival(raw, window))
-    fused = raw if source == "file" else fusion.with_orientation(raw)
-    static = average(fused, window)
-    other = None
-    if second:
-        other = OtherPose(*second, pose_bones(joints, second[0], arm_angle_deg))
-    faced = pose_facing.find(fused, static, window, bones, pose == "n", facing, axes, other)
-    findings += faced.findings
-    findings += checks.check_result(
-        fused, window, static, faced.phi, faced.sigma, pose, arm_angle_deg
-    )
-    if strict and any(f.severity == "error" for f in findings):
-        raise CalibrationError(checks.summary(findings))
-    R_bone_sensor = np.swapaxes(bones, -1, -2) @ ori.rot_y(-faced.phi) @ static.R_world_sensor
-    result = Calibration(
+
+
+def _refused_if(strict: bool, findings: list[Finding]) -> list[Finding]:
+    """The findings; raises CalibrationError where one is an error, and `strict`."""
+    if strict and checks.failed(findings):
+        raise CalibrationError(summary(checks.settled(findings)))
+    return findings
+
+
+def _calibration(
+    raw: RawRecording,
+    bones: Array,
+    held: Held,
+    method: str,
+    source: Source,
+    findings: list[Finding],
+    scale: bool,
+) -> Calibration:
+    """R_bone_sensor = R_world_bone(pose)^T R_y(-phi) R_world_sensor(pose)."""
+    static = held.static
+    return Calibration(
         raw.sensors,
-        R_bone_sensor,
-        -faced.phi,
-        faced.sigma,
-        pose,
-        arm_angle_deg,
-        window.seconds(raw),
-        faced.method,
+        np.swapaxes(bones, -1, -2) @ ori.rot_y(-held.facing) @ static.R_world_sensor,
+        -held.facing,
+        held.sigma,
+        held.name,
+        held.arm_angle_deg,
+        held.window.seconds(raw),
+        method,
         source,
-        tuple(checks.ordered(findings)),
-        _scale(static) if scale_acc and window.still else np.ones(len(raw.sensors)),
+        tuple(findings),
+        _scale(static) if scale else np.ones(len(raw.sensors)),
     )
-    return result._apply(fused), result
 
 
-def _rival(raw: RawRecording, window: Window) -> Finding:
-    assert window.rival is not None
-    a, b = window.seconds(raw)
-    c, d = (raw.start_s + k / raw.rate_hz for k in window.rival)
-    text = (
-        f"the pose is taken at {a:.2f} to {b:.2f} s, but at {c:.2f} to {d:.2f} s the body is about as still "
-        f"in another posture: if that is the pose, name its time (--at {(c + d) / 2:.1f})"
-    )
-    return Finding("warning", None, "pose-ambiguous", text)
+def diagnose(raw: RawRecording, calibration: Calibration | None = None) -> list[Finding]:
+    """Everything that can be said of `raw`, errors first.
+
+    Without a calibration: units, axes, gaps, exchanged sides and lags, which need no pose. With one:
+    also movement in the pose, slipped sensors, leaning, sides of the arms, certainty of the heading.
+    """
+    if calibration is not None:
+        raw = raw.select(calibration.sensors)
+    sensed = gather(raw)
+    found = checks.run(sensed, "sensors")
+    if checks.failed(found):
+        return checks.settled(found)
+    if calibration is None:
+        return checks.settled(found + checks.run(sensed, "body"))
+    fused = sensed.raw
+    if calibration.orientation == "vqf" or fused.R_world_sensor is None:
+        fused = fusion.with_orientation(fused)
+    start, stop = (round((t - raw.start_s) * raw.rate_hz) for t in calibration.time)
+    window = Window(start, stop, 0.0, True, False)
+    held = Held(
+        window, average(fused, window), calibration.pose, calibration.arm_angle_deg,
+        -calibration.heading, calibration.heading_sigma,
+    )  # fmt: skip
+    found += checks.run(Evidence(fused, (), held, raw.sensors), "body", "pose")
+    return checks.settled(found)
 
 
-def _scale(static: Pose) -> Array:
+def _rival(raw: RawRecording, window: Window) -> list[Finding]:
+    """A warning where another window would have been about as good."""
+    if window.rival is None:
+        return []
+    start, end = window.seconds(raw)
+    rival = [raw.start_s + k / raw.rate_hz for k in window.rival]
+    details = {
+        "start_s": start,
+        "end_s": end,
+        "rival_start_s": rival[0],
+        "rival_end_s": rival[1],
+    }
+    return [Finding("warning", None, "pose-ambiguous", None, details)]
+
+
+def _scale(static: StaticPose) -> Array:
     """g / |acc(pose)| (S,); one where it would change more than 5 %, which is another fault."""
     scale = ori.GRAVITY / np.maximum(np.linalg.norm(static.acc, axis=1), 1e-9)
     return np.where(np.abs(scale - 1) < 0.05, scale, 1.0)

@@ -10,6 +10,7 @@ from mocap import orientation as ori
 from mocap.formats._source import INDEX
 from mocap.orientation import Array
 
+T_POSE_FRAMES = 3  # dropped where a file starts with a T-pose that is not part of the motion
 SNAP_DEG = 35.0  # a local axis this near to an anatomical one is taken for it
 SIDES = (("left", 1.0), ("right", -1.0))
 X, Y, Z = np.eye(3)
@@ -24,7 +25,8 @@ class Neutral:
 
     F_j (3,3): column k is our axis k (left, up, forward in the T-pose) in the coordinates of the source joint
     that plays our joint j. U (3,3): the source's world to ours. F: by our joint index. F_spine: of each spine
-    joint. own_limbs: whether limbs point as the source's bones do; else as the frames say.
+    joint. own_limbs: whether limbs point as the source's bones do; else as the frames say. t_pose_frames: how
+    many frames go with a T-pose that is no part of the motion.
     """
 
     U: Array
@@ -33,6 +35,7 @@ class Neutral:
     assumptions: tuple[str, ...]
     warnings: tuple[str, ...] = ()
     own_limbs: bool = True
+    t_pose_frames: int = T_POSE_FRAMES
 
 
 def unit(v: Array) -> Array:

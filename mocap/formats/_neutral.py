@@ -36,7 +36,13 @@ def find(source: Source, roles: Roles, up: _upright.Up | None = None) -> Neutral
         return found
     frames = {j: F for j, F in rig.frames().items() if j in roles.joint}
     said = (*found.assumptions, rig.said)
-    return replace(found, F=found.F | frames, assumptions=said, own_limbs=rig.own_limbs)
+    return replace(
+        found,
+        F=found.F | frames,
+        assumptions=said,
+        own_limbs=rig.own_limbs,
+        t_pose_frames=rig.t_pose_frames,
+    )
 
 
 def of_pose(source: Source, roles: Roles, up: _upright.Up | None = None) -> Neutral:

@@ -28,7 +28,7 @@ import numpy as np
 from mocap import orientation as ori
 from mocap.errors import FormatError
 from mocap.formats import _neutral, _upright
-from mocap.formats._frames import STRAIGHT, Neutral, minimal_rotation, unit
+from mocap.formats._frames import STRAIGHT, T_POSE_FRAMES, Neutral, minimal_rotation, unit
 from mocap.formats._neutral import straightening
 from mocap.formats._source import INDEX, Roles, Source, assign
 from mocap.motion import Motion
@@ -39,7 +39,6 @@ from mocap.skeleton import JOINTS, PARENTS, SOLE_BELOW_TOE, Skeleton
 UNITS = {"1 m": 1.0, "1 cm": 0.01, "1 mm": 0.001, "1 inch": 0.0254, "1 foot": 0.3048,
          "1/0.45 inch": 0.0254 / 0.45}  # fmt: skip
 LEG_RANGE = (0.45, 1.25)  # m, hip to ankle: from a child of 1 m to beyond the tallest
-T_POSE_FRAMES = 3  # dropped where a file starts with a T-pose that is not part of the motion
 JUMP_DEG_S = 1000.0
 
 
@@ -67,9 +66,10 @@ def retarget(
     unit_said, unit_doubt = _unit(source, roles, scale)
     said.append(unit_said)
     doubts += unit_doubt
-    if _starts_with_t_pose(source, roles, neutral.U):
-        source = source.slice(T_POSE_FRAMES)
-        said.append(f"the file starts with a T-pose: its first {T_POSE_FRAMES} frames are dropped")
+    drop = neutral.t_pose_frames
+    if len(source) > drop + 1 and _starts_with_t_pose(source, roles, neutral.U):
+        source = source.slice(drop)
+        said.append(f"the file starts with a T-pose: its first {drop} frames are dropped")
     R = _rotations(source, roles, neutral, skeleton)
     p = _root_path(source, roles, neutral.U, R, skeleton)
     doubts += _moving_bones(source, roles) + _backward_knees(R, skeleton)

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mocap import orientation as ori
+from mocap.formats._frames import T_POSE_FRAMES
 from mocap.formats._source import INDEX, Source
 from mocap.orientation import Array
 
@@ -28,6 +29,7 @@ class Rig:
     bones: where joints lie in their parents at zero rotation, by name; lengths count only where
     `same_lengths`. F: rotation vectors (3,) deg of neutral frames, by our joint's name. own_limbs: whether
     limbs point as the file's bones do; else as the neutral frames say (arms along x, legs along -y).
+    t_pose_frames: how many frames a T-pose put before the motion spoils.
     """
 
     said: str
@@ -35,6 +37,7 @@ class Rig:
     F: Mapping[str, tuple[float, float, float]]
     same_lengths: bool = True
     own_limbs: bool = True
+    t_pose_frames: int = T_POSE_FRAMES
 
     def fits(self, source: Source) -> bool:
         """Whether the source is this rig, whatever its unit of length."""
@@ -107,6 +110,8 @@ RIGS = (
             "left_wrist": (0.4, -0.2, -7.6), "right_wrist": (-0.5, 0.2, 8.2),
         },
         own_limbs=False,
+        # The conversion's filter rings after its T-pose: arms are off by 15 deg in frame 3, by 6 in frame 6.
+        t_pose_frames=8,
     ),
     Rig(
         "Bandai-Namco's rig: neck, head, collars and feet as upright people have them on average",

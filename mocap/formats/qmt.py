@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from mocap import orientation as ori
-from mocap.calibration.checks import units as unit_checks
+from mocap.calibration import measures as unit_checks
 from mocap.calibration.static_pose import find_static
 from mocap.errors import CalibrationError, FormatError
 from mocap.formats import (
@@ -22,6 +22,7 @@ from mocap.formats import (
     Format,
     Options,
     _checks,
+    _clock,
     _mat5,
     _opensim,
     _physics,
@@ -180,7 +181,8 @@ def _read(path: Path, options: Options) -> Document:
     segments = list(found)
     check_mapped(path, options.mapping, segments)
     t = _time(path, data["t"])
-    rate, frames, doubts = _checks.grid(path, t, "variable t")
+    clock = _clock.grid(path, t, "variable t")
+    rate, frames, doubts = clock.rate_hz, clock.frames, list(clock.doubts)
     if len(frames) != frames[-1] + 1:
         raise FormatError(path, "has gaps, expected a constant rate", "variable t")
     sensors = tuple(names[n] for n in segments)

@@ -13,18 +13,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from learned.registry import specification
 from mocap.errors import FormatError, PoserError
 from poser import estimators, files, licences, options, training, training_files
 from poser.console import note, progress
 
 if TYPE_CHECKING:
-    from learned.models import Model
+    from learned.model import Model
     from mocap.recording import Recording
 
 HELP = "fine-tune a network on your own recordings with a reference"
 DEFAULTS = {"steps": 2000, "every": 100, "learning_rate": 1e-4, "batch": 16, "patience": 10}
 """A tenth of DIP's rate, so that what was learned before is kept (DIP 5.1.2: no forgetting)."""
-FRAMES = {"dip": 60, "imuposer": 125}
 NAMED = 5  # recordings that a note names
 
 
@@ -58,7 +58,7 @@ def run(args: Namespace) -> int:
             worn.append(places)
     _note_places(args.network, worn)
     train, held = _split(paths, found)
-    changes = DEFAULTS | {"frames": FRAMES[args.network]} | training.changes(args)
+    changes = DEFAULTS | training.changes(args)
     settings = TrainSettings.paper(args.network, **(changes | {"config": start.config}))
     _note_short([p.name for p in paths], train, held, settings.frames)
     world = parallel.join(args.device)
@@ -123,20 +123,19 @@ def _measured(
     dead = [sensor for place, sensor in found.items() if place not in alive]
     if len(dead) == len(found):
         raise FormatError(path, f"no orientation in any frame of {', '.join(dead)}")
-    if dead and network == "dip":
-        problem = "no orientation in any frame; dip learns from all of its six sensors"
+    if dead and specification(network).needs_all:
+        problem = f"no orientation in any frame; {network} learns from all of its sensors"
         raise FormatError(path, problem, f"sensor {', '.join(dead)}")
     return {place: sensor for place, sensor in found.items() if place in alive}
 
 
 def _note_places(network: str, worn: Sequence[dict[str, str]]) -> None:
     """Says once which sensors stand in for others, and which devices imuposer learns nothing of."""
-    from mocap import sensors as places
-
     for text in dict.fromkeys(t for found in worn for t in estimators.served_words(found)):
         note(text)
-    never = [p for p in places.FIVE if not any(p in found for found in worn)]
-    if network == "imuposer" and never:
+    spec = specification(network)
+    never = [p for p in spec.places if not any(p in found for found in worn)]
+    if not spec.needs_all and never:
         note(f"no recording has {', '.join(never)}: combinations with them are not trained")
 
 

@@ -12,6 +12,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from learned.registry import specification
 from poser import estimators, files, options
 from poser.console import DONE, UsageError, complain, emit, note
 from poser.live import addresses
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from poser.live.sources import Network, Source
 
 HELP = "poses while the person moves, from the network or a recording"
-METHODS = ("dip", "imuposer", "imuposer-adam", "hybrid", "hybrid-dip", "hybrid-imuposer")
+METHODS = (*estimators.METHODS, *estimators.HYBRIDS)
 SUFFIXES = (".npz", ".bvh")
 NETWORK_DEFAULTS: dict[str, object] = {
     "calibration": "n", "facing": 0.0, "countdown": 5.0, "up": "y", "rate": 60.0, "buffer": 0.05,
@@ -48,7 +49,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         help=f"{SINKS}; may be repeated",
     )  # fmt: skip
     parser.add_argument("--method", choices=METHODS, default="hybrid", help="default: hybrid")
-    parser.add_argument("--network", choices=("dip", "imuposer"), help="the hybrid's network")
+    parser.add_argument("--network", choices=estimators.NETWORKS, help="the hybrid's network")
     parser.add_argument(
         "--weights", type=options.weights, metavar="FILE", help="weights of your own (.safetensors)"
     )
@@ -176,13 +177,14 @@ def _source(args: Namespace, network: str) -> Source:
         recording = recording.slice(0, max(1, round(args.seconds * recording.rate_hz)))
     with files.about(path):
         names = options.sensors(args.sensors, recording.sensors)
-        if args.sensors is None and network == "imuposer":
-            names = estimators.everyday(names, recording)
+        some = not specification(network).needs_all
+        if args.sensors is None and some:
+            names = estimators.everyday(network, names, recording)
             if names != recording.sensors:
-                note(f"imuposer sees {', '.join(names)}; --sensors chooses others")
-        if network == "imuposer":
+                note(f"{network} sees {', '.join(names)}; --sensors chooses others")
+        if some:
             found = estimators.used(network, names)
-            estimators.check_devices(estimators.at_once(found, recording))
+            estimators.check_devices(network, estimators.at_once(network, found, recording))
         return Replay(recording.select(names), args.speed)
 
 
@@ -199,11 +201,12 @@ def _worn(args: Namespace, network: str) -> tuple[str, ...]:
                 f"{', '.join(places.FIVE)}"
             )
         return tracked
-    if args.sensors is None and network == "imuposer":
-        return estimators.devices_of(places.FIVE)
+    spec = specification(network)
+    if args.sensors is None and not spec.needs_all:
+        return estimators.devices_of(network, spec.places)
     names = options.sensors("six" if args.sensors is None else args.sensors)
-    if network == "imuposer":
-        estimators.check_devices(estimators.used(network, names))
+    if not spec.needs_all:
+        estimators.check_devices(network, estimators.used(network, names))
     return names
 
 
@@ -244,9 +247,9 @@ def _announce_network(args: Namespace, source: Source, network: str, rest: str) 
     address = addresses.parse(rest, "argument --source")
     names = ", ".join(source.facts()["devices"])
     complain(f"listening on {address} for {names}", "live")
-    if args.sensors is None and network == "imuposer" and not args.devices:
+    if args.sensors is None and not specification(network).needs_all and not args.devices:
         # At once, not among the notes at the end: it may run for hours.
-        complain(f"imuposer sees {', '.join(source.sensors)}; --sensors chooses others", "note")
+        complain(f"{network} sees {', '.join(source.sensors)}; --sensors chooses others", "note")
     if not address.is_local:
         complain(f"whoever reaches {address} can send poses", "live")
     if args.calibration in ("n", "t"):

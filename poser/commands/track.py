@@ -12,6 +12,8 @@ from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from learned.registry import specification
+from mocap.errors import PoserError
 from poser import estimators, files, options
 from poser.console import DONE, UsageError, emit, note, progress, say
 
@@ -64,8 +66,10 @@ def run(args: Namespace) -> int:
     if args.network and args.method not in ("hybrid", args.network):
         raise UsageError("argument --network: it is the hybrid's; the other methods name theirs")
     network = estimators.network_of(args.method, args.network)
-    if args.window and network != "dip":
-        raise UsageError("argument --window: for dip alone; imuposer's window is 125 frames")
+    try:
+        estimators.check_window(network, args.window)
+    except PoserError as e:
+        raise UsageError(f"argument --window: {e}") from e
     if args.uncertainty and args.output.suffix.lower() == ".bvh":
         raise UsageError("argument --uncertainty: a .bvh file cannot hold it, an .npz file can")
     inputs = [args.recording, *([args.weights] if args.weights else [])]
@@ -103,14 +107,15 @@ def _chosen(
     named: what the user named, and the sensor that serves for it.
     """
     names = recording.sensors
-    if network == "imuposer" and free:
-        names = estimators.everyday(names, recording)
+    some = not specification(network).needs_all
+    if some and free:
+        names = estimators.everyday(network, names, recording)
     found = estimators.used(network, names)
     if names != recording.sensors:
         recording = recording.select(names)
         note(f"{path}: imuposer sees {', '.join(found)}; --sensors chooses others")
-    if network == "imuposer":
-        estimators.check_devices(estimators.at_once(found, recording))
+    if some:
+        estimators.check_devices(network, estimators.at_once(network, found, recording))
     for text in estimators.served_words(named | found):
         note(f"{path}: {text}")
     idle = [n for n in recording.sensors if n not in found.values()]

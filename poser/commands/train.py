@@ -116,14 +116,15 @@ def run(args: Namespace) -> int:
 
 def _settings(args: Namespace) -> TrainSettings:
     """Settings of the options. Raises UsageError where one does not concern the network."""
-    from learned.models import for_network
+    from learned.config import for_network
+    from learned.registry import NETWORKS, specification
     from learned.training.augmentation import Augmentation
     from learned.training.settings import TrainSettings
 
-    if args.network == "imuposer":
-        for name in ("architecture", "normalisation", "no_acc", "no_acc_loss"):
-            if getattr(args, name):
-                raise UsageError(f"argument --{name.replace('_', '-')}: for dip only")
+    for name in ("architecture", "normalisation", "no_acc", "no_acc_loss"):
+        if getattr(args, name) and name not in specification(args.network).experiments:
+            its = ", ".join(n for n, s in NETWORKS.items() if name in s.experiments)
+            raise UsageError(f"argument --{name.replace('_', '-')}: for {its} only")
     training.check_hidden(args)
     config: dict[str, Any] = {}
     for name in ("architecture", "hidden", "normalisation"):

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from mocap.errors import PoserError
+from mocap.gate import MAX_ACC
 from poser.live.packets import (
-    MAX_ACC,
     MAX_DATAGRAM,
     MAX_DISTANCES,
     MAX_MESSAGES,

@@ -26,13 +26,13 @@ from typing import Any
 import numpy as np
 
 from mocap.errors import PoserError
+from mocap.gate import MAX_ACC
 from mocap.orientation import Array
 
 MAX_DATAGRAM = 8192  # bytes; 17 sensors in one datagram take 2.5 kB
 MAX_MESSAGES = 64  # in a datagram: a suit has 17 sensors, and each message costs time
 MAX_NAME = 64
 MAX_TIME_S = 1e11  # a clock in microseconds since 1970 sent as seconds is refused
-MAX_ACC = 1000.0  # m/s^2; IMUs end at 160 to 320
 MAX_DISTANCE_M = 1000.0
 MAX_DISTANCES = 16
 UNIT_TOLERANCE = 0.01

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hybrid import Tracker, TrackerSettings
+from hybrid.network_errors import NetworkErrors
 from hybrid.refinement import Refinement, smoothed
 from mocap import orientation as ori
 from mocap import sensors as places
@@ -87,11 +88,11 @@ def test_the_covariance_of_the_networks_errors_brings_the_pose_nearer() -> None:
 
 def test_a_diagonal_covariance_is_the_deviations() -> None:
     settings = TrackerSettings(network_floor_deg=1e-6)
-    refinement = Refinement(Skeleton.default(), *places.joints_and_seats(places.SIX), settings)
+    errors = NetworkErrors(settings, (1, 4, 16, 18))
     std = np.deg2rad(np.random.default_rng(2).uniform(3, 20, size=(24, 3)))
     R, p = np.tile(np.eye(3), (24, 1, 1)), np.zeros(3)
-    a = refinement._network_errors(Pose(0, R, p, std))
-    b = refinement._network_errors(Pose(0, R, p, std, "", np.diag(std.ravel() ** 2)))
+    a = errors.of(Pose(0, R, p, std))
+    b = errors.of(Pose(0, R, p, std, "", np.diag(std.ravel() ** 2)))
     for x, y in zip(a, b, strict=True):
         np.testing.assert_allclose(x, y, rtol=1e-6)
 

@@ -9,10 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hybrid import tasks
+from hybrid.box import box, in_rotation_vectors
 from hybrid.kinematics import Kinematics
 from hybrid.limits import ranges
-from hybrid.refinement import free_joints
+from hybrid.tasks import Term, orientation, position, prior
+from hybrid.tasks.task import normal_equations
+from hybrid.worn import free_joints
 from mocap import Skeleton
 from mocap import orientation as ori
 from mocap import sensors as places
@@ -65,6 +67,26 @@ def test_kinematics_agree_with_the_tree_and_jacobians_with_differences(
     assert np.allclose(at.J_position.reshape(-1, k.n), shifted, atol=1e-8)
 
 
+def test_any_point_of_the_body_has_its_pose_and_jacobians(rng: np.random.Generator) -> None:
+    k = body(("left_wrist", "right_pocket"))
+    R = ori.exp(0.6 * rng.normal(size=(24, 3)))
+    at, seat = k.at(R), np.array([0.1, -0.2, 0.05])
+    R_world, p_world = k.skeleton.forward(R, np.zeros(3))
+    for joint in (0, 6, 15, 20, 8):
+        found = at.on(joint, seat)
+        assert np.allclose(found.R_world_bone, R_world[joint], atol=1e-12)
+        assert np.allclose(found.p_world, p_world[joint] + R_world[joint] @ seat, atol=1e-12)
+        turned = differences(
+            lambda dv, j=joint, R0=found.R_world_bone: ori.log(  # type: ignore[misc]
+                k.at(moved(k, R, dv)).on(j).R_world_bone @ R0.T
+            ),
+            k.n,
+        )
+        shifted = differences(lambda dv, j=joint: k.at(moved(k, R, dv)).on(j, seat).p_world, k.n)  # type: ignore[misc]
+        assert np.allclose(found.J_rotation, turned, atol=1e-8)
+        assert np.allclose(found.J_position, shifted, atol=1e-8)
+
+
 def test_six_sensors_free_the_limbs_and_five_the_root_too() -> None:
     skeleton = Skeleton.default()
     six = places.joints_and_seats(places.SIX)[0]
@@ -86,9 +108,9 @@ def test_orientation_jacobian(rng: np.random.Generator, size: float) -> None:
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
     R_measured = at.R_world_bone @ ori.exp(size * axis)
     point = np.arange(6)
-    term, angle = tasks.orientation(at, point, R_measured, 0.1)
+    term, angle = orientation.residual(at, point, R_measured, 0.1)
     numeric = differences(
-        lambda dv: tasks.orientation(k.at(moved(k, R, dv)), point, R_measured, 0.1)[0].e, k.n
+        lambda dv: orientation.residual(k.at(moved(k, R, dv)), point, R_measured, 0.1)[0].e, k.n
     )
     assert np.allclose(angle, size, atol=1e-9)
     assert np.allclose(term.J, numeric, atol=1e-6)
@@ -99,9 +121,9 @@ def test_orientation_past_the_limit_is_left_out(rng: np.random.Generator) -> Non
     at = k.at(ori.exp(0.3 * rng.normal(size=(24, 3))))
     R_measured = at.R_world_bone.copy()
     R_measured[2] = R_measured[2] @ ori.rot_x(np.pi - 1e-6)
-    term, angle = tasks.orientation(at, np.arange(6), R_measured, 0.1)
+    term, angle = orientation.residual(at, np.arange(6), R_measured, 0.1)
     assert np.abs(term.e).max() < 1e-12 and not term.J[6:9].any() and term.J[:6].any()
-    assert angle[2] > tasks.MAX_ANGLE
+    assert angle[2] > orientation.MAX_ANGLE
 
 
 def test_network_jacobian_and_mean(rng: np.random.Generator) -> None:
@@ -113,7 +135,7 @@ def test_network_jacobian_and_mean(rng: np.random.Generator) -> None:
         now = R @ ori.exp(dv.reshape(-1, 3))
         return L @ ori.log(R_net.transpose(0, 2, 1) @ now).ravel()
 
-    term = tasks.network(xi, L)
+    term = prior.residual(xi, L)
     assert np.allclose(term.e, residual(np.zeros(15)), atol=1e-12)
     assert np.allclose(term.J, differences(residual, 15), atol=1e-6)
 
@@ -121,16 +143,14 @@ def test_network_jacobian_and_mean(rng: np.random.Generator) -> None:
 def test_position_jacobian_weight_and_gate(rng: np.random.Generator) -> None:
     k = body(places.SIX)
     R = ori.exp(0.3 * rng.normal(size=(24, 3)))
-    p, J = tasks.relative_position(k.at(R), origin=5)
+    p, J = position.relative(k.at(R), origin=5)
     assert not p[5].any() and not J[5].any()
-    numeric = differences(
-        lambda dv: tasks.relative_position(k.at(moved(k, R, dv)), 5)[0].ravel(), k.n
-    )
+    numeric = differences(lambda dv: position.relative(k.at(moved(k, R, dv)), 5)[0].ravel(), k.n)
     assert np.allclose(J.reshape(-1, k.n), numeric, atol=1e-8)
     variance, prior = np.full(6, 0.01), np.full(k.n, 1e-6)
     off = np.zeros((6, 3))
     off[:4, 0] = 0.05, 0.2, 0.4, np.nan
-    out = tasks.position(p, J, p + off, variance, prior, gate=3.0, robust=1.0)
+    out = position.residual(p, J, p + off, variance, prior, gate=3.0, robust=1.0)
     e = out.term.e.reshape(6, 3)
     assert np.allclose(e[0], [-0.5, 0, 0])  # half a sigma: quadratic
     assert np.allclose(e[1], [-np.sqrt(2.0), 0, 0])  # two sigmas, Huber at one: weight 1/2
@@ -141,13 +161,13 @@ def test_position_jacobian_weight_and_gate(rng: np.random.Generator) -> None:
 
 def test_quadratic_in_rotation_vectors_is_the_same_cost(rng: np.random.Generator) -> None:
     F = 4
-    terms = [tasks.Term(rng.normal(size=m), rng.normal(size=(m, 3 * F))) for m in (6, 12)]
-    H, g = tasks.normal_equations(terms)
+    terms = [Term(rng.normal(size=m), rng.normal(size=(m, 3 * F))) for m in (6, 12)]
+    H, g = normal_equations(terms)
     B = ori.right_jacobian(rng.normal(size=(F, 3)))
     z = rng.normal(size=3 * F)
     dv = np.einsum("fij,fj->fi", B, z.reshape(F, 3)).ravel()
     direct = sum(0.5 * np.sum((t.e + t.J @ dv) ** 2) - 0.5 * np.sum(t.e**2) for t in terms)
-    Hz, gz = tasks.in_rotation_vectors(H, g, B)
+    Hz, gz = in_rotation_vectors(H, g, B)
     assert np.isclose(0.5 * z @ Hz @ z + gz @ z, direct)
 
 
@@ -164,7 +184,7 @@ def test_the_box_is_never_empty_and_limits_come_before_rates(
 ) -> None:
     theta, proposed, a, b, centre = np.array(rows).T[:, :, None]
     lower, upper = np.minimum(a, b), np.maximum(a, b)
-    low, high = tasks.box(theta, proposed, lower, upper, centre, reach)
+    low, high = box(theta, proposed, lower, upper, centre, reach)
     assert np.all(low <= high)
     # Within the limits, or no further out than the network's own angle.
     assert np.all(theta + low >= np.minimum(lower, proposed) - 1e-12)

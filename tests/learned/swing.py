@@ -8,7 +8,10 @@ from typing import Any
 import numpy as np
 import torch
 
-from learned.models import RATES, Dip, build, for_network
+from learned.config import for_network
+from learned.dip.model import Dip
+from learned.model import build
+from learned.registry import specification
 from learned.training.augmentation import Augmentation
 from learned.training.corpus import Corpus, pack
 from learned.training.settings import TrainSettings
@@ -68,12 +71,16 @@ def windows(
     """Windows of one clip, clean and not augmented unless told."""
     corpus = pack([("clip", motion)]) if isinstance(motion, Motion) else motion
     augmentation = augmentation or Augmentation.none()
-    return Windows(corpus, sensors_of(network), RATES[network], frames, augmentation)
+    return Windows(
+        corpus, sensors_of(network), specification(network).rate_hz, frames, augmentation
+    )
 
 
 def validation(motion: Motion, network: str = "dip", stride: int = 6) -> Windowed:
     """Clean windows of a motion, as the online runner sees them (shorter for IMUPoser)."""
-    recording = synthesis.recording(motion.resampled(RATES[network]), sensors_of(network))
+    recording = synthesis.recording(
+        motion.resampled(specification(network).rate_hz), sensors_of(network)
+    )
     past, future = (20, 5) if network == "dip" else (19, 0)
     return cut([recording], past, future, stride)
 

@@ -13,8 +13,10 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from learned import checkpoint
+from learned.config import Config, for_network
+from learned.dip.model import Dip
 from learned.errors import CheckpointError
-from learned.models import Config, Dip, Model, build, for_network
+from learned.model import Model, build
 from mocap.sensors import FIVE, SIX
 
 NETWORKS = ("dip", "imuposer")

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
-from learned import devices
-from learned.features import COMBINATIONS
-from learned.models import build, for_network
+from learned.config import for_network
+from learned.imuposer import combinations
+from learned.imuposer.model import Imuposer
+from learned.imuposer.specification import COMBINATIONS
+from learned.model import build
+from learned.online import holding
 from learned.training import deviations, reach
 from learned.training import validation as val
 from learned.training.recorded import Recorded, at_rate, placed
@@ -43,7 +47,7 @@ def test_a_sensor_is_there_while_the_online_runner_holds_it() -> None:
     ok[20:40, 0] = False  # 0.8 s: held for 12 frames of 40 ms
     ok[:5, 3] = False  # shortly before its first value
     ok[:30, 4] = False  # long before it
-    found = devices.there(replace(made, valid=made.valid & ok))
+    found = holding.there(replace(made, valid=made.valid & ok))
     assert not found[:, [1, 2]].any()
     assert np.flatnonzero(~found[:, 0]).tolist() == list(range(32, 40))
     assert found[:, 3].all()
@@ -56,14 +60,17 @@ def test_only_combinations_of_what_is_there_are_shown() -> None:
     there[:, AT] = True
     there[2000:, 0] = False
     want = [c for c in COMBINATIONS if set(c) <= set(AT)]
-    for worn in (devices.drawn(np.random.default_rng(0), there), devices.in_turn(5, there)):
+    for worn in (
+        combinations.drawn(np.random.default_rng(0), there),
+        combinations.in_turn(5, there),
+    ):
         assert not (worn & ~there).any() and worn.any(1).all()
         shown = [tuple(w.nonzero().flatten().tolist()) for w in worn[:2000]]
         count = [shown.count(c) for c in want]
         assert sum(count) == 2000 and min(count) > 220  # of seven
     assert len(want) == 7
     everywhere = torch.ones(48, 5, dtype=torch.bool)
-    drawn = devices.drawn(np.random.default_rng(3), everywhere)
+    drawn = combinations.drawn(np.random.default_rng(3), everywhere)
     same = np.random.default_rng(3).integers(24, size=48)  # as runs drew before
     assert [tuple(w.nonzero().flatten().tolist()) for w in drawn] == [COMBINATIONS[c] for c in same]
 
@@ -109,15 +116,14 @@ def test_validation_shows_what_is_worn() -> None:
     torch.manual_seed(0)
     model = build(for_network("imuposer", hidden=8)).eval()
     seen: list[torch.Tensor] = []
-    real = val.imuposer_input
+    real = Imuposer.in_turn
 
-    def noting(R: torch.Tensor, acc: torch.Tensor, worn: torch.Tensor) -> torch.Tensor:
-        seen.append(worn)
-        return real(R, acc, worn)
+    def noting(*args: Any) -> torch.Tensor:
+        seen.append(real(*args))
+        return seen[-1]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(val, "imuposer_input", noting)
-        patch.setattr(reach, "imuposer_input", noting)
+        patch.setattr(Imuposer, "in_turn", noting)
         val.score(model, windows)
         reach.inputs(model, windows, 20)
     assert not (seen[0] & ~windows.there).any() and seen[0].any(1).all()

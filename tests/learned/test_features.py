@@ -8,10 +8,14 @@ import numpy as np
 import pytest
 import torch
 
-from learned import features
-from learned.features import COMBINATIONS, DIP_JOINTS, Scaler
-from learned.kinematics import rot_y
+from learned.config import Normalisation
+from learned.dip import features as dip
+from learned.features import DEVIATION_FLOOR, Scaler, project
+from learned.imuposer import features as imuposer
+from learned.imuposer.specification import COMBINATIONS
+from learned.tree import rot_y
 from mocap import orientation as ori
+from mocap.evaluation.metrics import DIP_JOINTS
 
 T, ROOT = 12, 5
 
@@ -34,12 +38,12 @@ def test_scaler_both_ways(rng: np.random.Generator) -> None:
     torch.testing.assert_close(y.mean((0, 1)), torch.zeros(4), rtol=0, atol=1e-4)
     torch.testing.assert_close(y.std((0, 1))[:3], torch.ones(3), rtol=0, atol=2e-3)
     torch.testing.assert_close(scaler.unscale(y), x)
-    assert torch.equal(scaler.deviation[3], torch.tensor(features.DEVIATION_FLOOR))  # constant
+    assert torch.equal(scaler.deviation[3], torch.tensor(DEVIATION_FLOOR))  # constant
 
 
 def test_dip_input_is_equations_9_and_10(six: tuple[torch.Tensor, torch.Tensor]) -> None:
     R, acc = six
-    x = features.dip_input(R, acc)
+    x = dip.dip_input(R, acc)
     for s in range(5):
         R_rel = R[1, 3, ROOT].T @ R[1, 3, s]
         a_rel = R[1, 3, ROOT].T @ (acc[1, 3, s] - acc[1, 3, ROOT])
@@ -49,21 +53,21 @@ def test_dip_input_is_equations_9_and_10(six: tuple[torch.Tensor, torch.Tensor])
 
 @pytest.mark.parametrize("normalisation", ["root", "first", "heading"])
 def test_a_turn_about_gravity_changes_nothing_for_dip(
-    six: tuple[torch.Tensor, torch.Tensor], normalisation: features.Normalisation
+    six: tuple[torch.Tensor, torch.Tensor], normalisation: Normalisation
 ) -> None:
     """Appendix C's normalisations too: each removes the heading of the whole window."""
     R, acc = six
     Ry = rot_y(torch.tensor(1.1, dtype=torch.float64))
-    turned = features.dip_input(Ry @ R, acc @ Ry.T, normalisation)
-    torch.testing.assert_close(turned, features.dip_input(R, acc, normalisation))
+    turned = dip.dip_input(Ry @ R, acc @ Ry.T, normalisation)
+    torch.testing.assert_close(turned, dip.dip_input(R, acc, normalisation))
 
 
 def test_first_and_heading_are_what_they_say(six: tuple[torch.Tensor, torch.Tensor]) -> None:
     R, acc = six
-    first = features.dip_input(R, acc, "first")
+    first = dip.dip_input(R, acc, "first")
     torch.testing.assert_close(first[:, 0, 45:54].unflatten(-1, (3, 3)),
                                torch.eye(3, dtype=torch.float64).expand(2, 3, 3))  # fmt: skip
-    x = features.dip_input(R, acc, "heading")
+    x = dip.dip_input(R, acc, "heading")
     yaw = ori.heading(R[1, 4, ROOT].numpy())
     Ry = torch.as_tensor(ori.rot_y(-yaw))
     torch.testing.assert_close(x[1, 4, 45:54], (Ry @ R[1, 4, ROOT]).flatten())
@@ -73,7 +77,7 @@ def test_first_and_heading_are_what_they_say(six: tuple[torch.Tensor, torch.Tens
 
 def test_dip_target_and_pose_are_inverse(rng: np.random.Generator) -> None:
     R = torch.as_tensor(ori.exp(rng.normal(size=(3, 24, 3))))
-    back = features.dip_pose(features.dip_target(R), R[:, 0])
+    back = dip.dip_pose(dip.dip_target(R), R[:, 0])
     kept = [0, *DIP_JOINTS]
     torch.testing.assert_close(back[:, kept], R[:, kept])
     others = [j for j in range(24) if j not in kept]
@@ -82,13 +86,13 @@ def test_dip_target_and_pose_are_inverse(rng: np.random.Generator) -> None:
 
 def test_projection_is_the_numpy_one(rng: np.random.Generator) -> None:
     M = rng.normal(size=(40, 3, 3))  # half of them with a negative determinant
-    found = features.project(torch.as_tensor(M)).numpy()
+    found = project(torch.as_tensor(M)).numpy()
     np.testing.assert_allclose(found, ori.project(M), atol=1e-9)
 
 
 def test_imuposer_target_and_pose_are_inverse(rng: np.random.Generator) -> None:
     R = torch.as_tensor(ori.exp(rng.normal(size=(3, 24, 3))))
-    torch.testing.assert_close(features.imuposer_pose(features.imuposer_target(R)), R)
+    torch.testing.assert_close(imuposer.imuposer_pose(imuposer.imuposer_target(R)), R)
 
 
 def test_the_24_combinations() -> None:
@@ -101,7 +105,7 @@ def test_the_24_combinations() -> None:
 @pytest.mark.parametrize("length", [1, 2, 3, 5, 12])
 def test_smoothing_against_a_loop(rng: np.random.Generator, length: int) -> None:
     acc = rng.normal(size=(2, length, 5, 3))
-    found = features.smooth(torch.as_tensor(acc)).numpy()
+    found = imuposer.smooth(torch.as_tensor(acc)).numpy()
     for t in range(length):
         want = acc[:, max(0, t - 2) : t + 3].mean(axis=1)
         np.testing.assert_allclose(found[:, t], want, atol=1e-12)
@@ -109,8 +113,8 @@ def test_smoothing_against_a_loop(rng: np.random.Generator, length: int) -> None
 
 def test_imuposer_input_layout(five: tuple[torch.Tensor, torch.Tensor]) -> None:
     R, acc = five
-    x = features.imuposer_input(R, acc, torch.ones(2, 5, dtype=torch.bool))
-    torch.testing.assert_close(x[..., :15], features.smooth(acc).flatten(-2) / 30)
+    x = imuposer.imuposer_input(R, acc, torch.ones(2, 5, dtype=torch.bool))
+    torch.testing.assert_close(x[..., :15], imuposer.smooth(acc).flatten(-2) / 30)
     torch.testing.assert_close(x[..., 15:], R.flatten(-3))
 
 
@@ -122,11 +126,11 @@ def test_what_a_device_not_worn_holds_has_no_influence(
     for combination in COMBINATIONS:
         worn = torch.zeros(2, 5, dtype=torch.bool)
         worn[:, list(combination)] = True
-        clean = features.imuposer_input(R, acc, worn)
+        clean = imuposer.imuposer_input(R, acc, worn)
         R2, acc2 = R.clone(), acc.clone()
         R2[:, :, ~worn[0]] = rubbish
         acc2[:, :, ~worn[0]] = rubbish
-        assert torch.equal(features.imuposer_input(R2, acc2, worn), clean)
+        assert torch.equal(imuposer.imuposer_input(R2, acc2, worn), clean)
         absent = [3 * s + k for s in range(5) if s not in combination for k in range(3)]
         assert (clean[..., absent] == 0).all()
 
@@ -137,7 +141,7 @@ def test_a_device_that_comes_in_mid_window(five: tuple[torch.Tensor, torch.Tenso
     worn = torch.ones(2, T, 5, dtype=torch.bool)
     worn[:, :6, 1] = False
     acc[:, :6, 1] = float("nan")
-    x = features.imuposer_input(R, acc, worn)
+    x = imuposer.imuposer_input(R, acc, worn)
     assert (x[:, :6, 3:6] == 0).all() and torch.isfinite(x).all()
     torch.testing.assert_close(x[:, 6, 3:6], acc[:, 6:9, 1].mean(1) / 30)
     torch.testing.assert_close(x[:, 9, 3:6], acc[:, 7:12, 1].mean(1) / 30)

@@ -5,10 +5,16 @@ from __future__ import annotations
 import pytest
 import torch
 
+from learned.config import Config, for_network
+from learned.dip.model import Dip
 from learned.dip.network import FeedForward, Gaussian, WaveNet
 from learned.errors import CheckpointError
-from learned.models import ARCHITECTURES, Config, Dip, Imuposer, build, for_network
+from learned.imuposer.model import Imuposer
+from learned.model import build
+from learned.registry import NETWORKS
 from mocap import sensors as places
+
+ARCHITECTURES = tuple(a for spec in NETWORKS.values() for a in spec.architectures)
 
 
 def count(module: torch.nn.Module) -> int:

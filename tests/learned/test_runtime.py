@@ -5,8 +5,11 @@ from __future__ import annotations
 import pytest
 import torch
 
-from learned.models import Dip, Imuposer, build, for_network
-from learned.runtime import Plain, fastest, gaussian, pose_numbers, prepare
+from learned.config import for_network
+from learned.dip.model import Dip
+from learned.imuposer.model import Imuposer
+from learned.model import build
+from learned.runtime import Plain, TwoLayers, fastest, prepare
 
 
 def model(network: str, **changes: object) -> Dip | Imuposer:
@@ -30,17 +33,12 @@ def test_unlimited_it_is_exact(architecture: str, frames: int, emit: int) -> Non
     x = torch.randn(frames, 60)
     runtime = prepare(net)
     assert not isinstance(runtime, Plain)
-    features = runtime.features(runtime.rows(x), emit)
+    out, whole = runtime.answer(runtime.rows(x), emit), net(x[None])[0, emit]
     if isinstance(net, Imuposer):
-        torch.testing.assert_close(
-            pose_numbers(net, runtime, features), net(x[None])[0, emit], atol=2e-6, rtol=1e-5
-        )
+        torch.testing.assert_close(out, whole, atol=2e-6, rtol=1e-5)
         return
-    out, whole = gaussian(net, runtime, features), net(x[None])
     for name in ("pose", "pose_deviation", "acc", "acc_deviation"):
-        torch.testing.assert_close(
-            getattr(out, name), getattr(whole, name)[0, emit], atol=2e-6, rtol=1e-5
-        )
+        torch.testing.assert_close(getattr(out, name), getattr(whole, name), atol=2e-6, rtol=1e-5)
 
 
 @torch.inference_mode()
@@ -53,7 +51,7 @@ def test_the_reach_of_layer_2_trades_error() -> None:
     off = []
     for reach in (1, 4, 10, 40, 124):
         runtime = prepare(net, reach=reach)
-        found = pose_numbers(net, runtime, runtime.features(runtime.rows(x), 124))
+        found = runtime.answer(runtime.rows(x), 124)
         off.append(float((found - whole).abs().max()))
     assert off[0] > 1e-3 and off[-1] < 2e-6
     assert off[3] < 1e-5
@@ -66,6 +64,7 @@ def test_fewer_bits_are_near(architecture: str) -> None:
     net = model("imuposer" if architecture == "imuposer" else "dip", architecture=architecture)
     x = torch.randn(26, 60)
     exact, near = prepare(net), prepare(net, "int8")
+    assert isinstance(exact, TwoLayers) and isinstance(near, TwoLayers)
     off = (near.features(near.rows(x), 20) - exact.features(exact.rows(x), 20)).abs().max()
     assert 1e-5 < off <= 0.15  # nought would say that it was not used
 
@@ -77,7 +76,7 @@ def test_other_architectures_run_whole() -> None:
     x = torch.randn(26, 60)
     runtime = prepare(net)
     assert isinstance(runtime, Plain)
-    out = gaussian(net, runtime, runtime.features(runtime.rows(x), 20))
+    out = runtime.answer(runtime.rows(x), 20)
     torch.testing.assert_close(out.pose, net(x[None]).pose[0, 20])
     assert out.acc.shape == (15,)
 
@@ -89,4 +88,4 @@ def test_the_fastest_there_is_can_be_made() -> None:
             precision == "int8"
         )  # falling back would hide a mistake of ours, at several times the time
     runtime = prepare(model("dip"), precision)
-    assert torch.isfinite(runtime.features(runtime.rows(torch.randn(26, 60)), 20)).all()
+    assert torch.isfinite(runtime.answer(runtime.rows(torch.randn(26, 60)), 20).pose).all()

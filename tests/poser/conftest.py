@@ -34,12 +34,12 @@ def small_runs(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPat
     """Training of seconds: few windows for scalers and validation, one thread, a cache of the tests' own."""
     import torch
 
-    from learned.training import trainer as train
-    from learned.training import validation
+    from learned.dip import model
+    from tests.learned.few import few_windows
 
-    monkeypatch.setattr(train, "_SCALER_BATCHES", 1)
+    monkeypatch.setattr(model, "SCALER_BATCHES", 1)
     torch.set_num_threads(1)  # small networks only wait for each other on several
-    monkeypatch.setattr(validation, "MOST_WINDOWS", {"dip": 12, "imuposer": 6})
+    few_windows(monkeypatch, dip=12, imuposer=6)
     monkeypatch.setenv("POSER_CACHE", str(tmp_path_factory.getbasetemp() / "poser-cache"))
 
 

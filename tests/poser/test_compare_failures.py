@@ -319,7 +319,7 @@ def test_too_many_devices_are_named_with_the_option_that_chooses(place: Path) ->
     job = comparison.Job("x", worn, ("imuposer",), None, sensors.FIVE)
     assert "choose with --devices" in comparison.obstacles(job)["imuposer"]
     with pytest.raises(PoserError, match="choose with --sensors"):
-        estimators.check_devices({n: n for n in sensors.FIVE})
+        estimators.check_devices("imuposer", {n: n for n in sensors.FIVE})
 
 
 @pytest.mark.usefixtures("instant")

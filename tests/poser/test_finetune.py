@@ -12,13 +12,14 @@ import pytest
 import torch
 
 from learned import checkpoint
-from learned.models import build, for_network
-from learned.training import trainer as train
-from learned.training import validation
+from learned.config import for_network
+from learned.imuposer.model import Imuposer
+from learned.model import build
 from mocap import sensors, synthesis
 from mocap.formats.native import read_recording, write_recording
 from mocap.synthesis import motions
 from poser.__main__ import main
+from tests.learned.few import few_windows
 
 Answer = Callable[..., Any]
 Refusal = Callable[..., tuple[int, str]]
@@ -30,7 +31,7 @@ ABOUT = {"licence": "CC BY-NC 4.0", "data": {"what": "clips of a studio", "credi
 @pytest.fixture(autouse=True)
 def _small(monkeypatch: pytest.MonkeyPatch) -> None:
     torch.set_num_threads(1)
-    monkeypatch.setattr(validation, "MOST_WINDOWS", {"dip": 12, "imuposer": 12})
+    few_windows(monkeypatch, dip=12, imuposer=12)
 
 
 @pytest.fixture(scope="module")
@@ -65,14 +66,15 @@ def test_recordings_that_are_tracked_can_be_learnt_from(
 ) -> None:  # fmt: skip
     """What is not in the recording is worn neither in training nor in validation."""
     shown: list[tuple[str, torch.Tensor]] = []
-    for where in (train, validation):
-        real = where.imuposer_input  # type: ignore[attr-defined]
+    for way in ("drawn", "in_turn"):  # in training, in validation
+        real = getattr(Imuposer, way)
 
-        def noting(R: Any, acc: Any, worn: Any, real: Any = real, at: str = where.__name__) -> Any:
+        def noting(*args: Any, real: Any = real, at: str = way) -> Any:
+            worn = real(*args)
             shown.append((at, worn))
-            return real(R, acc, worn)
+            return worn
 
-        monkeypatch.setattr(where, "imuposer_input", noting)
+        monkeypatch.setattr(Imuposer, way, noting)
     line = [str(place / f"{name}.npz"), "-o", str(tmp_path / "r"), *QUICK, "--batch", "16"]
     start = ["--start", str(place / f"{network}.safetensors")]
     export = ["--export", str(tmp_path / "w.safetensors")]
@@ -82,8 +84,8 @@ def test_recordings_that_are_tracked_can_be_learnt_from(
     if serve is None:
         assert shown == []
         return
-    for where in ("learned.training.trainer", "learned.training.validation"):
-        worn = torch.cat([w for at, w in shown if at == where])
+    for way in ("drawn", "in_turn"):
+        worn = torch.cat([w for at, w in shown if at == way])
         assert set(worn.any(0).nonzero().flatten().tolist()) == serve and worn.any(1).all()
     # A combination that is not in the recording keeps what is said of its errors.
     model = checkpoint.load(tmp_path / "w.safetensors")

@@ -12,8 +12,8 @@ import pytest
 import torch
 
 from learned import checkpoint
-from learned.models import build, for_network
-from learned.training import validation
+from learned.config import for_network
+from learned.model import build
 from mocap import sensors, synthesis
 from mocap.formats import amass, native
 from mocap.motion import Motion
@@ -21,6 +21,7 @@ from mocap.recording import Recording
 from mocap.synthesis import motions
 from poser import files
 from poser.__main__ import main
+from tests.learned.few import few_windows
 
 Answer = Callable[..., Any]
 Refusal = Callable[..., tuple[int, str]]
@@ -145,7 +146,7 @@ def test_from_a_recording_without_a_reference_to_a_network(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
     torch.set_num_threads(1)
-    monkeypatch.setattr(validation, "MOST_WINDOWS", {"dip": 12, "imuposer": 12})
+    few_windows(monkeypatch, dip=12, imuposer=12)
     line = ("-o", tmp_path / "run", "--start", place / "dip.safetensors", *QUICK)
     status, said = refusal("finetune", "dip", place / "bare.npz", *line)
     bare = place / "bare.npz"

@@ -14,13 +14,16 @@ import numpy as np
 import pytest
 import torch
 
-from hybrid import Tracker
+import learned
+from hybrid import Tracker, TrackerSettings
 from learned import checkpoint
+from learned.config import for_network
 from learned.imuposer.adam import AdamEstimator
-from learned.models import build, for_network
+from learned.model import build
 from mocap import Skeleton, sensors, synthesis
+from mocap import orientation as ori
 from mocap.errors import PoserError
-from mocap.estimator import samples
+from mocap.estimator import replay, samples
 from mocap.formats.native import FORMAT
 from mocap.recording import Recording
 from mocap.synthesis import motions
@@ -181,7 +184,7 @@ def test_devices_worn_together_are_chosen_from_as_ever(
     said = answer("track", tmp_path / "pockets.npz", *out, *words)
     assert said["used_sensors"] == ["left_pocket", "head"]
     _, why = refusal("track", tmp_path / "pockets.npz", *out, *words, "--sensors", "all")
-    assert "not on both pockets and the head together" in why
+    assert "not on left_pocket, right_pocket, head together" in why
 
 
 @pytest.mark.parametrize(
@@ -239,7 +242,7 @@ def test_only_sets_that_are_there_are_recommended(
 REFUSED = [
     (("five", "--method", "dip"), 1, "no left_shank, right_shank, pelvis"),
     (("five", "--method", "imuposer", "--sensors", "five"), 1, "choose with --sensors"),
-    (("five", "--method", "imuposer", "--sensors", "left_pocket,right_pocket,head"), 1, "both pockets"),
+    (("five", "--method", "imuposer", "--sensors", "left_pocket,right_pocket,head"), 1, "head together"),
     (("six", "--method", "imuposer", "--sensors", "pelvis"), 1, "one to three of"),
     (("six", "--method", "dip", "--network", "imuposer"), 2, "--network"),
     (("six", "--method", "imuposer", "--window", "20,5"), 2, "--window"),
@@ -334,7 +337,7 @@ def test_every_stand_in_is_on_the_same_bone() -> None:
 def test_what_is_worn_at_once() -> None:
     recording = handed_over()
     found = estimators.used("imuposer", recording.sensors)
-    three = set(estimators.at_once(found, recording))
+    three = set(estimators.at_once("imuposer", found, recording))
     assert len(found) == 4 and three in ({"left_wrist", "left_pocket", "head"},
                                          {"left_wrist", "right_pocket", "head"})  # fmt: skip
     # An orientation decides: a sample of acceleration alone says nothing of where a device is.
@@ -342,30 +345,40 @@ def test_what_is_worn_at_once() -> None:
     valid = np.ones_like(recording.valid)
     R[~recording.valid] = np.nan
     half = replace(recording, R_world_bone=R, acc_world=np.ones(R.shape[:3]), valid=valid)
-    assert half.valid.all() and len(estimators.at_once(found, half)) == 3
-    assert estimators.at_once(found, replace(recording, valid=np.zeros_like(valid))) == {}
+    assert half.valid.all() and len(estimators.at_once("imuposer", found, half)) == 3
+    assert (
+        estimators.at_once("imuposer", found, replace(recording, valid=np.zeros_like(valid))) == {}
+    )
     # Of sets of three, the one that IMUPoser is not trained on is the one to be told.
     pockets = ("left_pocket", "right_pocket", "head")
     valid = np.zeros_like(valid)
     valid[:9, [0, 1, 3]], valid[9:, 1:] = True, True
-    assert set(estimators.at_once(found, replace(recording, valid=valid))) == set(pockets)
+    assert set(estimators.at_once("imuposer", found, replace(recording, valid=valid))) == set(
+        pockets
+    )
     # Samples that take turns: all five are worn, though no row has them all.
     turns = all_five()
     valid = np.zeros((len(turns), 5), bool)
     valid[::2, :3], valid[1::2, 3:] = True, True
     turns = replace(turns, valid=valid)
-    assert len(estimators.at_once(estimators.used("imuposer", sensors.FIVE), turns)) == 5
-    assert estimators.everyday(sensors.FIVE, turns) == ("left_wrist", "right_pocket", "head")
+    assert (
+        len(estimators.at_once("imuposer", estimators.used("imuposer", sensors.FIVE), turns)) == 5
+    )
+    assert estimators.everyday("imuposer", sensors.FIVE, turns) == (
+        "left_wrist",
+        "right_pocket",
+        "head",
+    )
     # A device that sends every two seconds is not there in between.
     valid[:] = False
     valid[:, :3], valid[::50, 3] = True, True
     rare = estimators.at_once(
-        estimators.used("imuposer", sensors.FIVE), replace(turns, valid=valid)
+        "imuposer", estimators.used("imuposer", sensors.FIVE), replace(turns, valid=valid)
     )
     assert len(rare) == 4  # but for the half second after each sample it is
     # Without a recording (of sensors from the network) all are taken for worn together.
-    assert estimators.everyday(sensors.FIVE) == ("left_wrist", "right_pocket", "head")
-    assert estimators.everyday(pockets) == pockets
+    assert estimators.everyday("imuposer", sensors.FIVE) == ("left_wrist", "right_pocket", "head")
+    assert estimators.everyday("imuposer", pockets) == pockets
 
 
 def test_networks_of_methods() -> None:
@@ -435,7 +448,7 @@ def test_the_hybrid_and_adam_know_where_the_recordings_sensors_sit(place: Path) 
         assert hybrid.sensors == adam.sensors == ("left_wrist", "right_wrist", "head")
         # In the network's order, which is not the recording's.
         own = [19, 18, 15] if joint is not None else [18, 19, 15]
-        assert list(adam.joint) == list(hybrid.refinement.joint) == own
+        assert list(adam.joint) == list(hybrid.refinement.worn.joint) == own
         table = sensors.joints_and_seats(hybrid.sensors)[1]
         seats = recording.placement[[2, 0, 1]] if seat is not None else table
         np.testing.assert_array_equal(hybrid.refinement.kinematics.seat, seats)
@@ -461,3 +474,20 @@ def test_the_command_line_is_light() -> None:
     code = f"import sys, poser.commands.track; print([m for m in {heavy} if m in sys.modules])"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert out.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize(("name", "network"), [("six", "dip"), ("five", "imuposer")])
+def test_a_tracker_from_python_is_the_command_lines(
+    name: str, network: str, place: Path, tmp_path: Path
+) -> None:
+    weights, out = place / f"{network}.safetensors", tmp_path / "out.npz"
+    line = ["--method", "hybrid", "--network", network, "--weights", str(weights)]
+    assert main(["track", str(place / f"{name}.npz"), "-o", str(out), *line]) == 0
+    recording = files.recording(place / f"{name}.npz")
+    names = sensors.SIX if network == "dip" else ("left_wrist", "right_pocket", "head")
+    own = Tracker(learned.estimator(network, recording.rate_hz, names, weights=weights))
+    run = replay(own, recording)
+    assert own.settings == TrackerSettings.around(own.network)
+    assert (own.settings != TrackerSettings()) == (network == "imuposer")
+    off = ori.angle_between(files.motion(out).R_parent_joint, run.motion.R_parent_joint)
+    assert off.max() < 1e-6

@@ -451,7 +451,8 @@ def test_two_processes_train_one_network(clips: Path, tmp_path: Path, network: l
     code = (
         "import sys\n"
         "from learned.training import trainer as train\n"
-        "train._SCALER_BATCHES = 1\n"
+        "from learned.dip import model\n"
+        "model.SCALER_BATCHES = 1\n"
         "run = train.Trainer.run\n"
         "def told(self, progress=None):\n"
         "    out = run(self, progress)\n"

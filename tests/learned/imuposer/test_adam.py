@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from learned import kinematics as kin
+from learned import tree as kin
 from learned.imuposer.adam import CHAINS, AdamEstimator, AdamSettings, refine
 from mocap import Skeleton
 from mocap import orientation as ori

@@ -10,11 +10,14 @@ import pytest
 import torch
 
 from learned import online
-from learned.dip.network import Gaussian
+from learned.config import for_network
+from learned.dip.model import Dip
 from learned.dip.window import DipWindow
-from learned.features import COMBINATIONS, imuposer_input, imuposer_pose
+from learned.imuposer.features import imuposer_input, imuposer_pose
+from learned.imuposer.model import Imuposer
+from learned.imuposer.specification import COMBINATIONS
 from learned.imuposer.window import ImuposerWindow
-from learned.models import Dip, Imuposer, build, for_network
+from learned.model import build
 from learned.online.estimator import Online
 from learned.runtime import Plain, prepare
 from learned.training.validation import cut, held
@@ -92,10 +95,7 @@ def test_dip_streams_as_the_batch_of_its_windows(changes: dict, window: tuple[in
     done = replay(exact, rec)
     w = cut([rec], *window)
     out = net(net.inputs(w.R_world_bone, w.acc_world)[0])
-    at = Gaussian(
-        *(v[:, w.emit] for v in (out.pose, out.pose_deviation, out.acc, out.acc_deviation))
-    )
-    batch = net.pose(at, w.R_world_bone[:, w.emit, 5])
+    batch = net.pose(out[:, w.emit], w.R_world_bone[:, w.emit])
     assert (
         np.ptp(batch[:, 1:].numpy(), axis=0).max() > 0.05
     )  # the poses do differ from frame to frame
@@ -106,7 +106,7 @@ def test_dip_streams_as_the_batch_of_its_windows(changes: dict, window: tuple[in
     off = np.abs(R - batch.numpy())[1:].max()
     assert off < (3e-5 if changes.get("architecture") == "wavenet" else 1e-5)
     assert done.std_rad is not None
-    std = net.pose_deviation(at, batch).numpy()
+    std = net.pose_deviation(out[:, w.emit], batch).numpy()
     np.testing.assert_allclose(done.std_rad[1:], std[1:], rtol=1e-4)
     times = [p.time_s for p in stream(exact, rec)]
     np.testing.assert_allclose(times, rec.start_s + np.arange(len(rec)) / 60)
@@ -169,9 +169,7 @@ def test_a_saved_state_resumes_and_old_states_stay_as_they_were(
     net = model(network)
     names = places.SIX if network == "dip" else places.FIVE[:3]
     rec = recording(rate_hz, names, "realistic", 1.0)
-    estimator = (
-        online.dip(net, rate_hz) if network == "dip" else online.imuposer(net, rate_hz, names)
-    )
+    estimator = online.stream(net, rate_hz, names)
     whole = stream(estimator, rec)
     rows, state, poses = flushed(estimator, rec), estimator.init(), []
     for k, sample in enumerate(rows):
@@ -185,7 +183,7 @@ def test_a_saved_state_resumes_and_old_states_stay_as_they_were(
 
 def test_a_turned_person_changes_nothing_but_the_pelvis() -> None:
     net, rec = model("dip"), recording(60.0, places.SIX)
-    estimator = online.dip(net, 60.0)
+    estimator = online.stream(net, 60.0)
     a, b = stream(estimator, rec), stream(estimator, rec.turned(1.0))
     for p, q in zip(a, b, strict=True):
         assert np.abs(p.R_parent_joint[1:] - q.R_parent_joint[1:]).max() < 1e-5
@@ -195,10 +193,10 @@ def test_a_turned_person_changes_nothing_but_the_pelvis() -> None:
 def test_a_device_that_is_not_worn_has_no_influence() -> None:
     net, rec = model("imuposer"), recording(25.0, places.FIVE, s=1.0)
     worn = ("right_wrist", "head")
-    few = stream(online.imuposer(net, 25.0, worn), rec.select(worn))
+    few = stream(online.stream(net, 25.0, worn), rec.select(worn))
     valid = np.tile([n in worn for n in places.FIVE], (len(rec), 1))
     for junk in (np.nan, np.inf, 1e30):
-        estimator = online.imuposer(net, 25.0, places.FIVE)
+        estimator = online.stream(net, 25.0, places.FIVE)
         R = np.where(valid[..., None, None], rec.R_world_bone, junk)
         acc = np.where(valid[..., None], rec.acc_world, junk)
         state = estimator.init()
@@ -210,8 +208,8 @@ def test_a_device_that_is_not_worn_has_no_influence() -> None:
 
 def test_devices_come_and_go() -> None:
     net, rec = model("imuposer"), recording(25.0, places.FIVE[:2], s=5.0)
-    estimator = online.imuposer(net, 25.0, rec.sensors)
-    alone = online.imuposer(net, 25.0, rec.sensors[:1])
+    estimator = online.stream(net, 25.0, rec.sensors)
+    alone = online.stream(net, 25.0, rec.sensors[:1])
     valid = np.ones((len(rec), 2), bool)
     valid[20:30, 1] = False  # 0.4 s: held
     valid[40:70, 1] = False  # 1.2 s: not worn any more from 0.5 s on
@@ -259,9 +257,9 @@ def test_more_devices_than_it_was_trained_on() -> None:
     net, rec = model("imuposer"), recording(25.0, places.FIVE, s=0.4)
     assert isinstance(net, Imuposer)
     net.deviation_rad[COMBINATIONS.index((0, 2, 4))] = 0.1
-    poses = stream(online.imuposer(net, 25.0, places.FIVE), rec)
+    poses = stream(online.stream(net, 25.0, places.FIVE), rec)
     chosen = ("left_wrist", "left_pocket", "head")
-    few = stream(online.imuposer(net, 25.0, chosen), rec.select(chosen))
+    few = stream(online.stream(net, 25.0, chosen), rec.select(chosen))
     assert far(poses, np.stack([p.R_parent_joint for p in few])) < 1e-5
     assert all("only left_wrist, left_pocket, head is used" in p.note for p in poses)
 
@@ -270,14 +268,14 @@ def test_a_lost_sensor_is_told() -> None:
     net, rec = model("dip"), recording(60.0, places.SIX, s=1.5)
     valid = np.ones((len(rec), 6), bool)
     valid[30:, 4] = False
-    poses = stream(online.dip(net, 60.0), replace(rec, valid=valid))
+    poses = stream(online.stream(net, 60.0), replace(rec, valid=valid))
     said = [p.note for p in poses]
     assert said[59] == "" and said[60] == "nothing from head" and said[-1] == "nothing from head"
 
 
 def test_a_jump_of_the_clock_parts_the_window() -> None:
     net, rec = model("dip"), recording(60.0, places.SIX)
-    estimator = online.dip(net, 60.0)
+    estimator = online.stream(net, 60.0)
     rows = list(samples(rec))
     late = [replace(s, time_s=s.time_s + 9) for s in rows[40:]]
     first, second = stream(estimator, rec.slice(0, 40)), stream(estimator, rec.slice(40, len(rec)))
@@ -336,7 +334,7 @@ def test_imuposer_starts_from_the_first_values_of_devices_that_are_late(rate_hz:
 def test_an_hour_without_a_device_costs_no_memory(rate_hz: float) -> None:
     """A minute of it: each sample has its pose, the state does not grow; then a device comes."""
     net = model("imuposer")
-    exact = online.imuposer(net, rate_hz, places.FIVE)
+    exact = online.stream(net, rate_hz, places.FIVE)
     state, sizes, count = exact.init(), [], 0
     nothing = np.zeros(5, bool)
     for k in range(round(60 * rate_hz)):
@@ -369,10 +367,7 @@ def test_dip_starts_from_the_first_values_of_sensors_that_are_late() -> None:
     poses = stream(exact, late)
     w = cut([late], 20, 5)
     out = net(net.inputs(w.R_world_bone, w.acc_world)[0])
-    at = Gaussian(
-        *(v[:, w.emit] for v in (out.pose, out.pose_deviation, out.acc, out.acc_deviation))
-    )
-    batch = net.pose(at, w.R_world_bone[:, w.emit, 5])
+    batch = net.pose(out[:, w.emit], w.R_world_bone[:, w.emit])
     assert far(poses, batch.numpy()) < 1e-5
     assert np.abs(poses[0].R_parent_joint[0] - rec.R_world_bone[3, 5]).max() < 1e-5
 
@@ -402,10 +397,7 @@ def test_each_late_sensor_is_filled_in_by_itself(
     R = np.stack([p.R_parent_joint for p in stream(exact, late)])
     w = cut([late], 20, 5)
     out = net(net.inputs(w.R_world_bone, w.acc_world)[0])
-    at = Gaussian(
-        *(v[:, w.emit] for v in (out.pose, out.pose_deviation, out.acc, out.acc_deviation))
-    )
-    batch = net.pose(at, w.R_world_bone[:, w.emit, 5]).numpy()
+    batch = net.pose(out[:, w.emit], w.R_world_bone[:, w.emit]).numpy()
     since = max(end for begin, end in invalid.values() if begin == 0) - 5
     assert np.abs(R[since:] - batch[since:]).max() < 1e-5
     assert np.ptp(R[:, 1:], axis=0).max() > 0.05

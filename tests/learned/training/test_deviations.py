@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 import torch
 
+from learned.config import for_network
 from learned.dip.network import Gaussian
-from learned.features import COMBINATIONS, DIP_JOINTS
-from learned.models import build, for_network
+from learned.imuposer.features import imuposer_input, imuposer_pose
+from learned.imuposer.specification import COMBINATIONS
+from learned.model import build
 from learned.training import deviations
 from learned.training import validation as val
 from mocap import orientation as ori
+from mocap.evaluation.metrics import DIP_JOINTS
 from mocap.motion import Motion
 from mocap.skeleton import MIRROR, Skeleton
 from tests.learned.swing import dip, validation, wavy
@@ -32,8 +35,9 @@ def test_pose_deviation_against_monte_carlo() -> None:
     out = Gaussian(flat, sigma / model.out_deviation, torch.zeros(15), torch.ones(15))
     predicted = model.pose_deviation(out, R)
     noise = torch.tensor(rng.normal(size=(20_000, 135))).float() * sigma
+    sensors = R[:1].expand(6, 3, 3)
     noisy = model.pose(
-        Gaussian((flat + noise) / model.out_deviation, sigma, out.acc, out.acc_deviation), R[0]
+        Gaussian((flat + noise) / model.out_deviation, sigma, out.acc, out.acc_deviation), sensors
     )
     w = ori.log((R.mT @ noisy).double().numpy())[:, list(DIP_JOINTS)]
     np.testing.assert_allclose(w.std(axis=0), predicted[list(DIP_JOINTS)], rtol=0.03)
@@ -46,10 +50,8 @@ def test_calibrated_deviations_have_unit_variance() -> None:
     t = windows.emit
     with torch.no_grad():
         out = model(model.inputs(windows.R_world_bone, windows.acc_world)[0])
-        at = Gaussian(
-            *(v[:, t] for v in (out.pose, out.pose_deviation, out.acc, out.acc_deviation))
-        )
-        pose = model.pose(at, windows.R_world_bone[:, t, 5])
+        at = out[:, t]
+        pose = model.pose(at, windows.R_world_bone[:, t])
         spread = model.pose_deviation(at, pose)
     error = ori.log((pose.mT @ windows.R_parent_joint[:, t]).double().numpy())
     z = error / spread.numpy()
@@ -73,8 +75,8 @@ def test_imuposer_deviations_are_its_errors_by_combination() -> None:
         worn = torch.zeros(len(windows.clip), 5, dtype=torch.bool)
         worn[:, devices] = True
         with torch.no_grad():
-            y = model(val.imuposer_input(windows.R_world_bone, windows.acc_world, worn))
-        return ori.log((val.imuposer_pose(y[:, windows.emit]).double().mT @ truth).numpy())
+            y = model(imuposer_input(windows.R_world_bone, windows.acc_world, worn))
+        return ori.log((imuposer_pose(y[:, windows.emit]).double().mT @ truth).numpy())
 
     own, twin = errors([1, 3]), errors([0, 2])
     other = twin[:, list(MIRROR)] * [1, -1, -1]

@@ -11,7 +11,8 @@ import pytest
 import torch
 
 from learned import checkpoint
-from learned.models import build, for_network
+from learned.config import for_network
+from learned.model import build
 from learned.training.export import SKELETON, card, export, made_with
 from learned.training.validation import score
 from tests.learned.swing import validation, wavy

@@ -9,8 +9,10 @@ import pytest
 import torch
 
 from learned import checkpoint, runtime
+from learned.config import for_network
 from learned.errors import CheckpointError
-from learned.models import Imuposer, build, for_network
+from learned.imuposer.model import Imuposer
+from learned.model import build
 from learned.runtime import EVERY, TwoLayers, prepare
 from learned.training import reach
 from learned.training.export import export

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from learned.checkpoint import LARGEST_HIDDEN
+from learned.config import Config
 from learned.errors import TrainingError
-from learned.models import Config
 from learned.training.settings import TrainSettings
 
 

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 import torch
 
-from learned import devices
-from learned.features import COMBINATIONS
-from learned.models import build, for_network
+from learned.config import for_network
+from learned.imuposer import combinations
+from learned.imuposer.specification import COMBINATIONS
+from learned.model import build
 from learned.training import validation as val
 from mocap import sensors as places
 from mocap import synthesis
@@ -87,7 +88,7 @@ def test_the_loss_without_reconstruction_ignores_the_acceleration_heads() -> Non
 
 
 def test_combinations_go_round() -> None:
-    worn = devices.in_turn(23, torch.ones(26, 5, dtype=torch.bool))
+    worn = combinations.in_turn(23, torch.ones(26, 5, dtype=torch.bool))
     assert worn[0].nonzero().flatten().tolist() == list(COMBINATIONS[23])
     assert worn[1].nonzero().flatten().tolist() == list(COMBINATIONS[0])
     assert torch.equal(worn[1], worn[25])

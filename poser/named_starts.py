@@ -1,0 +1,66 @@
+"""Where `poser solve` starts: the prior, a network's poses, or a motion file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import learned
+from mocap.errors import PoserError
+from poser import files
+from poser.console import UsageError, progress
+
+if TYPE_CHECKING:
+    from mocap.motion import Motion
+    from mocap.recording import Recording
+    from mocap.skeleton import Skeleton
+    from sip import Start
+
+NETWORKS = tuple(learned.NETWORKS)
+KNOWN = ("prior", *NETWORKS)
+
+
+def names(text: str) -> list[str]:
+    """The starts that --start names. A file whose name holds a comma is one start. UsageError if none."""
+    if text in KNOWN or Path(text).exists():
+        return [text]
+    found = [part.strip() for part in text.split(",")]
+    if not all(found):
+        raise UsageError(f"argument --start: an empty name in {text!r}")
+    return list(dict.fromkeys(found))
+
+
+def motion(
+    name: str, path: Path, whole: Recording, window: Recording, first: int, body: Skeleton
+) -> Start:
+    """What the solver takes for one name: "prior", or poses for every frame of `window`.
+
+    path: where the recording `whole` came from. first: the number of the window's first frame in it.
+    """
+    if name == "prior":
+        return "prior"
+    if name in NETWORKS:
+        from poser import tracking
+
+        with progress(f"{name} on {path.name}") as tell, files.about(path):
+            found = tracking.track(window, name, name, progress=tell)
+        return found.run.motion.on(body)
+    return _of_file(Path(name), whole, window, first)
+
+
+def _of_file(path: Path, whole: Recording, window: Recording, first: int) -> Motion:
+    """A motion file at the recording's rate: by its time where it states one, else of the whole recording or
+    of the window.
+    """
+    from mocap import timeline
+    from mocap.formats import native
+
+    found, frames = files.motion(path).resampled(whole.rate_hz), len(window)
+    with files.about(path):
+        found = timeline.placed(found, native.states_start(path), whole, window, first)
+    if len(found) != frames:
+        raise PoserError(
+            f"{path}: {len(found)} frames at {whole.rate_hz:g} Hz, expected as many as the "
+            f"recording has: {frames}"
+        )
+    return found
