@@ -23,7 +23,7 @@ help:
 
 $(STAMP): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install -q -c constraints.txt -e ".[dev,live,cluster]"
+	$(BIN)/python -m pip install -q -c constraints.txt -e ".[dev,live,render,cluster]"
 	touch $(STAMP)
 
 venv: $(STAMP)
