@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import os
 import platform
 import resource
+import shlex
 import statistics
+import sys
 import time
 import zlib
 from collections.abc import Iterable
@@ -72,6 +75,22 @@ def told(found: list[tuple[str, Motion]]) -> str:
     """How much of the clips counts, in words."""
     whole, counts = (sum(f(m) for _, m in found) for f in (lambda m: m.seconds, trusted_s))
     return f"{len(found)} clips, {counts:.1f} s that count, {whole - counts:.1f} s of faulty truth left out"
+
+
+def keep(path: Path, rows: object) -> None:
+    """Rows of figures with the command that made them, as `benchmarks/tables.py` reads them."""
+    words = [f"benchmarks/{Path(sys.argv[0]).name}", *sys.argv[1:]]
+    record = {"command": f"python {shlex.join(words)}", "machine": machine(), "rows": rounded(rows)}
+    path.write_text(json.dumps(record, indent=0))
+
+
+def rounded(x: Any) -> Any:
+    """Numbers to five digits: what is kept in the repository need not be long."""
+    if isinstance(x, dict):
+        return {k: rounded(v) for k, v in x.items()}
+    if isinstance(x, list | tuple):
+        return [rounded(v) for v in x]
+    return float(f"{x:.5g}") if isinstance(x, float | np.floating) else x
 
 
 def seed_of(name: str) -> int:

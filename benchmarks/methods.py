@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from common import clips, evenly, machine, row, seed_of, told, trusted_s
+from common import clips, evenly, keep, machine, row, seed_of, told, trusted_s
 
 from mocap import Motion, dataset, sensors, synthesis
 from mocap.estimator import Pose, Sample, replay
@@ -365,7 +365,7 @@ def main() -> None:
             print(paired(averaged, "hybrid", "imuposer"))
         kept[part] = results
     if args.output:
-        args.output.write_text(json.dumps(kept, indent=1))
+        keep(args.output, kept)
 
 
 def _over_devices(results: list[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -7,14 +7,13 @@ virtual sensors; clean and with the realistic noise. SOP and SIP differ in the a
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from common import clips, machine, row, seed_of, told
+from common import clips, keep, machine, row, seed_of, told
 
 import sip
 from mocap import Motion, dataset, sensors, synthesis
@@ -142,7 +141,7 @@ def main() -> None:
         print(table(results, noise))
         print(starts(results, noise))
     if args.output:
-        args.output.write_text(json.dumps(results, indent=1))
+        keep(args.output, results)
 
 
 if __name__ == "__main__":
