@@ -1,7 +1,7 @@
 """Tables of docs/results.md and of README from what the benchmarks left in benchmarks/results/.
 
-`python scripts/make_results.py` writes them, `--check` fails where they are not what the files give. No figure of
-theirs is typed by hand.
+`python scripts/make_results.py` writes them, `--check` fails where they are not what the files give. No figure
+of theirs is typed by hand.
 """
 
 from __future__ import annotations
@@ -126,8 +126,8 @@ def page() -> str:
         "DIP-IMU or TotalCapture.",
         "**Test split**: CMU subjects 02, 05 and 09, nobody's training motion; virtual sensors with the "
         "realistic noise of `mocap.synthesis.Noise`; frames with a fault of the capture left out "
-        "(`poser data`). Root, wrists and feet are masked as the field does it. Means over clips; sip_deg and "
-        "angular_deg in deg, position_cm in cm, jitter in 100 m/s^3.",
+        "(`poser data`). Root, wrists and feet are masked as the field does it. Means over clips; sip_deg "
+        "and angular_deg in deg, position_cm in cm, jitter in 100 m/s^3.",
     ]
     sections = (
         ("split", "Offline, six sensors, realistic noise", lambda r: offline(r, "realistic")),
