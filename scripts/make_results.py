@@ -1,7 +1,7 @@
 """Tables of docs/results.md and of README from what the benchmarks left in benchmarks/results/.
 
-`python scripts/make_results.py` writes them, `--check` fails where they are not what the files give. No figure
-of theirs is typed by hand.
+`python scripts/make_results.py` writes them, `--check` fails where they are not what the files give. No
+figure of theirs is typed by hand.
 """
 
 from __future__ import annotations
