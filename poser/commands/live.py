@@ -72,7 +72,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         "--port", type=addresses.port, default=8080,
         help="of the viewer (default: 8080, or the next free one; 0: any free one)",
     )  # fmt: skip
-    group = parser.add_argument_group("sensors from the network")
+    group = parser.add_argument_group("sensors that are heard")
     group.add_argument(
         "--calibration", metavar="C",
         help="n or t: stand still in that pose at the start (default: n); a file that poser calibrate "
@@ -266,7 +266,8 @@ def _announce_devices(args: Namespace, origin: Origin, source: Network, network:
     if source.waiting:
         pose = opening.calibration(args, kind)
         pose = pose.upper() if pose in ("n", "t") else (args.reset or "n").upper()
-        complain(f"stand still in the {pose}-pose in {args.countdown:g} s", "live")
+        walk = ", then walk about" if source.walks else ""
+        complain(f"stand still in the {pose}-pose in {args.countdown:g} s{walk}", "live")
 
 
 def _sink(text: str, source: Source, skeleton: Skeleton, args: Namespace) -> Sink:

@@ -110,7 +110,10 @@ def to_sample(
 
 
 class Watch(Protocol):
-    """What stands between rows and samples until the calibration is found."""
+    """What stands between rows and samples until the calibration is found. walks: after the pose the wearer
+    has to walk."""
+
+    walks: bool
 
     def push(self, row: Row) -> Calibration | None:
         """Take the next row; the calibration once there is one."""
@@ -127,6 +130,8 @@ class PoseWatch:
     begin_s: rows before this time are not looked at. facing_deg: heading of the wearer's forward in the
     sensors' world (0: +z, 90: +x). give_up_s: how long to wait after `begin_s`.
     """
+
+    walks = False
 
     def __init__(
         self,

@@ -40,6 +40,8 @@ class WalkWatch:
     one), where known. begin_s: rows before this time are not looked at.
     """
 
+    walks = True
+
     def __init__(
         self,
         sensors: tuple[str, ...],
@@ -102,6 +104,8 @@ class WalkWatch:
 
 class HeadingWatch:
     """Waits for the wearer to stand still in a known pose, and takes the headings from it."""
+
+    walks = False
 
     def __init__(
         self, known: Calibration, sensors: tuple[str, ...], rate_hz: float, pose: PoseName,

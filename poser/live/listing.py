@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from mocap.sensors import PLACES
 from poser.console import say, table
 from poser.live.packets import Packet
 from poser.live.sources.protocol import MAX_DEVICES, Heard, Intake
@@ -65,7 +66,8 @@ class Listing:
         for name in names:
             seen = self.devices.get(name, Seen())
             rows[name] = {
-                "place": places.get(name), "packets": seen.packets, "rate_hz": seen.rate_hz,
+                "place": places.get(name, name if name in PLACES else None),
+                "packets": seen.packets, "rate_hz": seen.rate_hz,
                 "acceleration": seen.felt > 0, **told.get(name, Heard()).to_dict(),
             }  # fmt: skip
         return {"devices": rows, "rejected": dict(sorted(self._intake.rejected.items()))}

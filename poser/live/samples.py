@@ -224,6 +224,11 @@ class Network:
         return self._watch is not None
 
     @property
+    def walks(self) -> bool:
+        """Whether walking is part of the calibration."""
+        return self._watch is not None and self._watch.walks
+
+    @property
     def prompt(self) -> str:
         """What the wearer should do now; empty once the pose is found."""
         start = self._assembler.start_s

@@ -42,7 +42,7 @@ class Teller:
         self._listeners = [s for s in sinks if isinstance(s, Listener)]
         self._terminal = sys.stderr is not None and sys.stderr.isatty()
         self._asked_missing = self._asked_unknown = not isinstance(source, Network)
-        self._led = ""
+        self._led: str | None = None
 
     def tell(self, report: Report) -> None:
         now = self._clock()
@@ -63,11 +63,13 @@ class Teller:
             sys.stderr.flush()
 
     def _lead(self, source: Network) -> None:
-        """Where no line counts the seconds down: a sentence for each thing that the wearer is to do."""
-        prompt = "" if source.missing else source.prompt
-        what = re.sub(r"\d+", "", prompt)
-        if prompt and what != self._led and not self._terminal:
-            self._complain(prompt)
+        """Where no line counts the seconds down: a sentence for each thing that the wearer is to do, behind
+        the first, which was told at the start."""
+        if source.missing or not source.prompt:
+            return
+        what = re.sub(r"\d+", "", source.prompt)
+        if self._led not in (None, what) and not self._terminal:
+            self._complain(source.prompt)
         self._led = what
 
     def _ask(self, source: Network) -> None:

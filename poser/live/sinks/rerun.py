@@ -51,8 +51,8 @@ class RerunFile:
         self.frames += 1
 
     def close(self) -> dict[str, Any]:
+        content = self._memory.drain_as_bytes()
         if self.frames:
-            content = self._memory.drain_as_bytes()
             with write_aside(self._path) as aside:
                 aside.write_bytes(content)
         self._stream.disconnect()

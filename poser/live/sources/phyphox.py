@@ -36,6 +36,7 @@ ANSWER_S, AGAIN_S = 2.0, 1.0  # patience for an answer, and before the next try
 MAX_BODY = 1 << 20
 MAX_SAMPLES = 5000
 INPUTS = {"attitude": "wxyz", "linear_acceleration": "xyz", "gravity": "xyz"}
+DESCRIBED, ANSWERED = b"i", b"a"  # the first byte of a letter: what follows
 PARTS = {"w": "abs", "x": "x", "y": "y", "z": "z"}
 
 
@@ -69,6 +70,11 @@ def inputs(config: Any) -> tuple[Input, ...]:
     if not any(i.source == "attitude" for i in found):
         raise Rejected("experiment without attitude")
     return tuple(found)
+
+
+def described(found: tuple[Input, ...]) -> bytes:
+    """The inputs as JSON, for the reader."""
+    return json.dumps([[i.source, i.time, list(i.parts)] for i in found]).encode()
 
 
 @dataclass
@@ -114,8 +120,7 @@ class Poller:
         """Ask once. Raises OSError, HTTPException, Rejected."""
         if not phone.inputs:
             phone.inputs, phone.last_s = inputs(_parsed(_get(phone.address, "/config"))), {}
-            described = {"inputs": [[i.source, i.time, list(i.parts)] for i in phone.inputs]}
-            post.put(json.dumps(described).encode(), str(phone.address))
+            post.put(DESCRIBED + described(phone.inputs), str(phone.address))
         asked = "&".join(i.query(phone.last_s.get(i.source)) for i in phone.inputs)
         body = _get(phone.address, f"/get?{asked}")
         answer = _parsed(body)
@@ -127,7 +132,7 @@ class Poller:
             last = next((t for t in reversed(times) if isinstance(t, int | float)), None)
             if last is not None:
                 phone.last_s[i.source] = float(last)
-        post.put(body, str(phone.address))
+        post.put(ANSWERED + body, str(phone.address))
 
     def stop(self) -> None:
         self._stop.set()
@@ -180,13 +185,13 @@ class Phyphox:
 
     def read(self, letter: Letter) -> Iterator[Packet | Rejected]:
         try:
-            answer = _parsed(letter.body)
-            if "inputs" in answer:
+            content = _parsed(letter.body[1:])
+            if letter.body[:1] == DESCRIBED:
                 self._inputs[letter.sender] = tuple(
-                    Input(source, time, tuple(parts)) for source, time, parts in answer["inputs"]
+                    Input(source, time, tuple(parts)) for source, time, parts in content
                 )
                 return
-            yield from self._samples(answer, letter.sender)
+            yield from self._samples(content, letter.sender)
         except Rejected as e:
             yield e
 

@@ -211,10 +211,7 @@ def test_what_the_pose_waits_for_is_named(capsys: pytest.CaptureFixture[str]) ->
 
 def test_who_sends_all_is_led_through_the_pose(capsys: pytest.CaptureFixture[str]) -> None:
     source = listening(sent(list(sensors.SIX), seconds=6.0))
-    assert told(source, 6.0, capsys) == [
-        "live: get into the N-pose, 5 s left",
-        "live: stand still in the N-pose",
-    ]
+    assert told(source, 6.0, capsys) == ["live: stand still in the N-pose"]
     line = "waiting for the pose: stand still in the N-pose"
     assert telling.status(Report(), source) == line
 

@@ -21,6 +21,7 @@ from poser.live.samples import Network
 from poser.live.sources.protocol import Intake
 from tests.poser.live.conftest import Hold
 
+SIX = sensors.SIX
 RATE = 60.0
 SECONDS = 6.0
 
@@ -121,18 +122,3 @@ def only(packets: list[object]) -> Packet:
     [packet] = packets
     assert isinstance(packet, Packet), packet
     return packet
-
-
-__all__ = [
-    "SIX",
-    "Time",
-    "accelerations",
-    "heard",
-    "only",
-    "poses_of",
-    "same_poses",
-    "worn",
-    "wxyz",
-    "zup",
-]
-SIX = sensors.SIX

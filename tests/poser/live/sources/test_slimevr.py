@@ -17,7 +17,6 @@ from poser.live.sources import slimevr
 from poser.live.sources.conversation import Conversation
 from poser.live.sources.slimevr import SlimeVR
 from tests.poser.live.sources.conftest import (
-    SIX,
     Time,
     accelerations,
     heard,
@@ -388,4 +387,3 @@ def test_loss_reordering_restart(worn: Recording, intake: Conversation, time: Ti
 
 def test_the_names_are_those_of_the_table() -> None:
     assert slimevr.SOURCE.spelling == "slimevr[:6969]" and slimevr.SOURCE.own_headings
-    assert len(SIX) == 6
