@@ -164,6 +164,7 @@ def _list(args: Namespace, origin: Origin) -> int:
     sensors = options.sensors("six" if args.sensors is None else args.sensors)
     intake = opening.intake(origin.kind, origin, args, sensors)
     found = listing.Listing(intake)
+    found.open()
     try:
         found.listen(args.seconds or listing.SECONDS)
     finally:

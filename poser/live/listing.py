@@ -39,9 +39,12 @@ class Listing:
         self._intake, self._clock = intake, clock
         self.devices: dict[str, Seen] = {}
 
-    def listen(self, seconds: float) -> None:
-        """Take what comes for so long. Raises PoserError where the intake cannot be opened."""
+    def open(self) -> None:
+        """Begin. Raises PoserError where the intake cannot be opened."""
         self._intake.open()
+
+    def listen(self, seconds: float) -> None:
+        """Take what comes for so long."""
         until = self._clock() + seconds
         while self._clock() < until and not self._intake.ended:
             for packet, arrival, _ in self._intake.receive(LOOK_S):

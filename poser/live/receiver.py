@@ -90,7 +90,7 @@ class Receiver:
         """What waits in the socket: at least one datagram, and no further one from `until_s` on."""
         while True:
             try:
-                datagram, sender = self._socket.recvfrom(MAX_DATAGRAM + 1)
+                datagram, sender, arrival = self._read()
             except BlockingIOError:
                 self._empty_s = self._clock()
                 return
@@ -98,7 +98,6 @@ class Receiver:
                 # Some systems report an earlier send's failure here; it is not about what we receive.
                 self.rejected["receive error"] += 1
                 return
-            arrival = self._clock()
             for found in self._decoded(datagram, sender, arrival):
                 if isinstance(found, Rejected):
                     self.rejected[found.reason] += 1
@@ -106,6 +105,11 @@ class Receiver:
                     yield found, arrival, self._empty_s
             if self._clock() >= until_s:
                 return
+
+    def _read(self) -> tuple[bytes, Any, float]:
+        """A datagram that waits, who sent it, and when it was found."""
+        datagram, sender = self._socket.recvfrom(MAX_DATAGRAM + 1)
+        return datagram, sender, self._clock()
 
     def _decoded(
         self, datagram: bytes, sender: Any, arrival_s: float

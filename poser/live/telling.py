@@ -43,6 +43,7 @@ class Teller:
         self._terminal = sys.stderr is not None and sys.stderr.isatty()
         self._asked_missing = self._asked_unknown = not isinstance(source, Network)
         self._led: str | None = None
+        self._checked = False
 
     def tell(self, report: Report) -> None:
         now = self._clock()
@@ -51,6 +52,7 @@ class Teller:
         self._told = now
         if isinstance(self._source, Network):
             self._lead(self._source)
+            self._check(self._source)
             if now - self._began >= PATIENCE_S:
                 self._ask(self._source)
         if not (self._terminal or self._listeners):
@@ -61,6 +63,17 @@ class Teller:
         if self._terminal:
             sys.stderr.write(f"\r{_fitted(text)}\x1b[K")
             sys.stderr.flush()
+
+    def _check(self, source: Network) -> None:
+        """Once the pose was found: what the calibration rests on, and what is doubtful about it."""
+        if self._checked or source.calibration is None:
+            return
+        self._checked = True
+        found = source.calibration
+        self._complain(f"calibrated; where you face: {found.method}")
+        for finding in found.diagnostics:
+            if finding.severity != "info":
+                self._complain(f"{finding.severity}: {finding.sentence}")
 
     def _lead(self, source: Network) -> None:
         """Where no line counts the seconds down: a sentence for each thing that the wearer is to do, behind
