@@ -164,17 +164,18 @@ def _list(args: Namespace, origin: Origin) -> int:
     sensors = options.sensors("six" if args.sensors is None else args.sensors)
     intake = opening.intake(origin.kind, origin, args, sensors)
     found = listing.Listing(intake)
-    found.open()
     try:
-        found.listen(args.seconds or listing.SECONDS)
+        found.open()
+        try:
+            found.listen(args.seconds or listing.SECONDS)
+        finally:
+            told = found.to_dict(args.map if isinstance(args.map, dict) else {})
+            if args.json:
+                emit(told)
+            else:
+                listing.show(told)
     finally:
-        places = args.map if isinstance(args.map, dict) else {}
-        told = found.to_dict(places)
         intake.close()
-        if args.json:
-            emit(told)
-        else:
-            listing.show(told)
     return DONE
 
 

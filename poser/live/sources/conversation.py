@@ -92,7 +92,7 @@ def _stamps(open_socket: socket.socket) -> bool:
 
 
 def _age_s(more: list[tuple[int, int, bytes]]) -> float:
-    """How long ago a datagram came, by its stamp; 0 where it has none, or somebody set the clock meanwhile."""
+    """How long ago a datagram came, by its stamp; 0 where it has none, or the clock was set meanwhile."""
     for level, kind, data in more:
         if (level, kind) == (socket.SOL_SOCKET, TIMESTAMPS) and len(data) >= TIMESPEC.size:
             s, ns = TIMESPEC.unpack_from(data)
