@@ -7,11 +7,12 @@ STAMP := $(VENV)/.installed
 WORKERS ?= auto
 # One clone may move: paths are relative, and the stamp follows what it was made from.
 
-.PHONY: help venv demo test lint types check bench bench-split bench-methods bench-real bench-accuracy bench-experiments bench-endurance prior weights clean
+.PHONY: help venv demo test lint types check check-fast bench bench-split bench-methods bench-real bench-accuracy bench-experiments bench-endurance prior weights clean
 
 help:
 	@echo "make demo         all methods on the built-in recording, with pictures and a report in poser-demo/"
 	@echo "make test         lint, types and the whole test suite"
+	@echo "make check-fast   the tests without the slow ones, in under two minutes"
 	@echo "make bench        speed: solver ways, length, number of sensors, memory"
 	@echo "make bench-split  accuracy on the fixed test split (needs the data, see README)"
 	@echo "make bench-methods  DIP, IMUPoser and the hybrids on the fixed test split (needs the data)"
@@ -33,12 +34,16 @@ demo: $(STAMP)
 lint: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports
 
 types: $(STAMP)
 	$(BIN)/mypy
 
 check: $(STAMP)
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile
+
+check-fast: $(STAMP)
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -m "not slow"
 
 test: lint types check
 

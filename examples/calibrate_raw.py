@@ -15,7 +15,7 @@ import numpy as np
 
 from mocap import orientation as ori
 from mocap import sensors, synthesis
-from mocap.calibration import Calibration, calibrate
+from mocap.calibration import Calibration, calibrate, sentence
 from mocap.recording import RawRecording, Recording
 from mocap.synthesis import motions
 
@@ -37,7 +37,7 @@ def report(name: str, raw: RawRecording, recording: Recording, found: Calibratio
     print(f"{name}: {found.pose.upper()}-pose at {start:.1f} to {stop:.1f} s")
     print(f"  facing: {found.method}, to {sigma:.0f} deg")
     for finding in found.diagnostics:
-        print(f"  {finding.severity}: {finding.sentence}")
+        print(f"  {finding.severity}: {sentence(finding)}")
     print(f"  bones are {bone_error_deg(recording):.1f} deg from the truth")
 
 

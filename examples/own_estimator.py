@@ -25,7 +25,6 @@ from mocap.estimator import Pose, Sample
 from mocap.evaluation import metrics
 from mocap.skeleton import Skeleton
 from mocap.synthesis import motions
-from poser.console import table
 from sip.prior import shipped
 
 
@@ -79,17 +78,18 @@ def main(argv: list[str] | None = None) -> int:
     recording = synthesis.recording(motion, sensors.SIX, synthesis.Noise(), rng=0)
 
     own = Remembered(recording.rate_hz)
-    rows = []
+    print("estimator           instr. deg  SIP deg  position cm  jitter 100 m/s^3  p50 ms")
+    notes = []
     for name, method in (("remembered poses", own), ("hybrid around them", Tracker(own))):
         run = estimator.replay(method, recording)
         m = metrics.evaluate(run.motion, recording.reference, recording=recording)
-        figures = (m.instrumented_deg, m.sip_deg, m.position_cm, m.jitter)
-        ms = f"{1e3 * np.median(run.frame_s):.1f}"
-        rows.append((name, *(f"{f:.1f}" for f in figures), ms, str(run.fallbacks)))
+        print(
+            f"{name:<20}{m.instrumented_deg:>10.1f}{m.sip_deg:>9.1f}{m.position_cm:>13.1f}{m.jitter:>18.1f}"
+            f"{1e3 * np.median(run.frame_s):>8.1f}"
+        )
         for note, count in run.notes.items():
-            print(f"{name}, {count} of {len(run.motion)} frames: {note}")
-    heads = ("instr. deg", "SIP deg", "position cm", "jitter 100 m/s^3", "p50 ms", "fallbacks")
-    table(("estimator", *heads), rows)
+            notes.append(f"{name}, {count} of {len(run.motion)} frames: {note}")
+    print(*notes, sep="\n")
     return 0
 
 

@@ -27,7 +27,6 @@ from mocap.seats import second_difference, sensor_positions
 from mocap.sensors import PLACES
 from mocap.skeleton import JOINTS
 from mocap.synthesis import motions
-from poser.console import table
 
 Seat = tuple[
     int, tuple[float, float, float]
@@ -87,7 +86,8 @@ def main(argv: list[str] | None = None) -> int:
     joint, placement = arrays(NEAREST)
     misplaced = replace(recording, joint=joint, placement=placement)  # same numbers, other seats
 
-    rows, error = [], {}
+    error = {}
+    print(f"{'solved with':<26}SIP deg  position cm  jitter 100 m/s^3")
     for name, terms, told in (
         ("SIP, own seats", "sip", recording),
         ("SOP, own seats", "sop", recording),
@@ -96,8 +96,7 @@ def main(argv: list[str] | None = None) -> int:
         solution = sip.solve(told, settings=sip.Settings(terms=terms, solver="banded"))
         m = metrics.evaluate(solution.motion, recording.reference, recording=recording)
         error[name] = m.position_cm
-        rows.append((name, f"{m.sip_deg:.1f}", f"{m.position_cm:.1f}", f"{m.jitter:.1f}"))
-    table(("solved with", "SIP deg", "position cm", "jitter 100 m/s^3"), rows)
+        print(f"{name:<26}{m.sip_deg:>7.1f}{m.position_cm:>13.1f}{m.jitter:>18.1f}")
     worth = error["SIP, the table's nearest"] - error["SIP, own seats"]
     print(f"telling the seats is worth {worth:.1f} cm")
     return 0

@@ -26,7 +26,7 @@ class TrackerSettings:
 
     orientation_sigma_deg: measured bone orientation (mounting, heading, soft tissue).
     network_sigma_deg: of a joint for which the network states none. network_scale: factor on what the
-    network states. Each is one number, or 24 of them (`hybrid.scale` finds them on validation motion).
+    network states. Each is one number, or 24 of them.
     Where poses carry the covariance of the network's errors, that is used instead of all three.
     network_floor_deg, network_ceiling_deg: what a stated sigma is kept within. network_memory_s: of the
     filter that smooths the network's poses (`hybrid.refinement.smoothed`); 0 leaves them. step_sigma_deg:

@@ -1,26 +1,33 @@
-"""The record of one doubt, in a form a person and a program can act on."""
+"""The record of one doubt, in a form that a program can act on: a code, a sensor, numbers; no sentence.
+
+Sentences are made where they are printed, from the code and the details: `mocap.calibration.words`.
+"""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 Severity = Literal["error", "warning", "info"]
+ORDER: dict[Severity, int] = {"error": 0, "warning": 1, "info": 2}
+"""The worst first."""
 
 
 @dataclass(frozen=True)
 class Finding:
     """One thing to know. severity: "error" (the result would be wrong), "warning" or "info".
 
-    sensor: the place, or None for the whole body. code: a stable name for programs. sentence: for
-    people, with the number and its unit and what to do. value: the number alone.
+    sensor: the place, or None for the whole body. code: a stable name for programs. value: the number that
+    the finding rests on, where there is one. details: what else a sentence about it needs, JSON values by
+    name, the unit in the name; "said" holds a whole sentence where somebody else made it.
     """
 
     severity: Severity
     sensor: str | None
     code: str
-    sentence: str
     value: float | None = None
+    details: Mapping[str, Any] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON."""

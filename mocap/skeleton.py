@@ -1,4 +1,4 @@
-"""The SMPL joint tree: names, parents, rest offsets; the numeric kinematics and the Pinocchio model.
+"""The body: rest offsets on SMPL's joint tree, its size; the numeric kinematics and the Pinocchio model.
 
 World and rest frames: y up, the body faces +z, its left is +x. In the rest pose (a T-pose) every
 joint's rotation is the identity, so a bone's frame is the world's.
@@ -12,21 +12,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mocap.errors import ShapeError
+from mocap import tree
+from mocap.errors import FormatError, ShapeError
 from mocap.orientation import Array
+from mocap.tree import JOINTS, PARENTS
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-JOINTS: tuple[str, ...] = (
-    "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle",
-    "right_ankle", "spine3", "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head",
-    "left_shoulder", "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist",
-    "left_hand", "right_hand",
-)  # fmt: skip
-PARENTS: tuple[int, ...] = (
-    -1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21,
-)  # fmt: skip
 MIRROR: tuple[int, ...] = (
     0, 2, 1, 3, 5, 4, 6, 8, 7, 9, 11, 10, 12, 14, 13, 15, 17, 16, 19, 18, 21, 20, 23, 22,
 )  # fmt: skip
@@ -113,7 +106,7 @@ class Skeleton:
         `trans` of a file without a body model counts from joint 0 of the table (design, "Native files").
         Raises ShapeError for a height outside `STATURE_RANGE`.
         """
-        offsets = REST - np.where(np.array(PARENTS)[:, None] < 0, 0.0, REST[list(PARENTS)])
+        offsets = tree.offsets(PARENTS, REST)
         if height is not None:
             if not STATURE_RANGE[0] <= height <= STATURE_RANGE[1]:
                 raise ShapeError(
@@ -124,10 +117,23 @@ class Skeleton:
 
     @classmethod
     def from_smpl_file(cls, path: str | Path, betas: Any = None) -> Skeleton:
-        """The body of the user's own SMPL `.pkl` or `.npz` file: see `mocap.formats.smpl.read_body`."""
-        from mocap.formats.smpl import read_body
+        """The body of the user's own SMPL `.pkl` or `.npz` file with shape `betas` (N,), default zeros.
 
-        return read_body(path, betas)
+        `mesh` is a `mocap.formats.smpl.SmplMesh`. Raises FormatError where the file is no SMPL model or the
+        body of another size than people are, ShapeError for betas that are no vector of finite numbers.
+        """
+        from mocap.formats.smpl import read_mesh
+
+        mesh, shape = read_mesh(path, betas)
+        body = cls(JOINTS, PARENTS, tree.offsets(PARENTS, mesh.joints), shape, mesh)
+        low, high = STATURE_RANGE
+        if not low <= body.stature <= high:
+            raise FormatError(
+                path,
+                f"a body {body.stature:.3g} m tall, expected {low} to {high} m",
+                f"betas {np.array2string(shape[:3], precision=2)}...",
+            )
+        return body
 
     @property
     def stature(self) -> float:
@@ -170,11 +176,7 @@ class Skeleton:
 
     def rotations(self, R_parent_joint: Array) -> Array:
         """Global rotations R_world_joint (...,J,3,3) of local ones (...,J,3,3)."""
-        R = np.array(R_parent_joint, float)
-        for j, p in enumerate(self.parents):
-            if p >= 0:
-                R[..., j, :, :] = R[..., p, :, :] @ R[..., j, :, :]
-        return R
+        return tree.rotations(self.parents, R_parent_joint)
 
     def local_rotations(self, R_world_joint: Array) -> Array:
         """Inverse of `rotations`: R_parent_joint (...,J,3,3) of global rotations."""
@@ -185,13 +187,7 @@ class Skeleton:
 
     def positions(self, R_world_joint: Array, p_world_root: Array) -> Array:
         """Joint positions (...,J,3) m from global rotations (...,J,3,3) and the root's place (...,3)."""
-        p = np.empty(R_world_joint.shape[:-1])
-        p[..., 0, :] = p_world_root
-        for j, parent in enumerate(self.parents):
-            if parent >= 0:
-                arm = R_world_joint[..., parent, :, :] @ self.offsets[j]
-                p[..., j, :] = p[..., parent, :] + arm
-        return p
+        return tree.positions(self.parents, self.offsets, R_world_joint, p_world_root)
 
     def forward(self, R_parent_joint: Array, p_world_root: Array) -> tuple[Array, Array]:
         """R_world_joint (...,J,3,3) and p_world_joint (...,J,3) m of a pose."""

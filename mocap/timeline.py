@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from mocap.motion import Motion
     from mocap.recording import Recording
 
+Name = TypeVar("Name", Path, str)
 Timed = TypeVar("Timed", "Motion", "Recording")
 
 
@@ -22,7 +23,11 @@ def span(x: Motion | Recording) -> tuple[float, float]:
 
 def words(x: Motion | Recording) -> str:
     """`46 to 56 s`."""
-    begin, end = span(x)
+    return seconds(*span(x))
+
+
+def seconds(begin: float, end: float) -> str:
+    """The same of two times in s."""
     return f"{round(begin, 3):g} to {round(end, 3):g} s"
 
 
@@ -33,7 +38,7 @@ def cut(x: Timed, begin: float, end: float) -> Timed:
     return x if (a, b) == (0, len(x)) else x.slice(a, b)
 
 
-def shared(named: Mapping[Path, Motion | Recording]) -> tuple[float, float]:
+def shared(named: Mapping[Name, Motion | Recording]) -> tuple[float, float]:
     """Begin and end, s, of what all of them cover. Raises PoserError where that is less than a frame."""
     begin = max(span(x)[0] for x in named.values())
     end = min(span(x)[1] for x in named.values())
@@ -59,15 +64,13 @@ def during(motion: Motion, recording: Recording) -> Motion:
     return cut(motion, begin, end)
 
 
-def placed(path: Path, motion: Motion, whole: Recording, window: Recording, first: int) -> Motion:
-    """The part of `motion`, of the file `path`, that goes with a window of a recording.
+def placed(motion: Motion, timed: bool, whole: Recording, window: Recording, first: int) -> Motion:
+    """The part of `motion` that goes with a window of a recording.
 
-    By its time where the file states one; else of a motion as long as the whole recording, the frames from
-    `first` (the window's first) on. A motion of another length is left as it is.
+    By its time where that is known (`timed`: its file states one); else of a motion as long as the whole
+    recording, the frames from `first` (the window's first) on. A motion of another length is left as it is.
     """
-    from mocap.formats import native
-
-    if native.states_start(path):
+    if timed:
         return during(motion, window)
     if len(window) == len(whole):
         return motion

@@ -46,6 +46,94 @@ def test_imports_run_one_way(path: Path) -> None:
         assert ONLY_IN.get(name, package) == package, f"{name} belongs in {ONLY_IN[name]}"
 
 
+def name_of(path: Path) -> str:
+    """`mocap/formats/csv.py` -> `mocap.formats.csv`, `mocap/__init__.py` -> `mocap`."""
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def arrows() -> dict[str, set[str]]:
+    """The files of the project that each file imports anywhere, also in functions and for types alone."""
+    known = {name_of(p) for p in modules()}
+    found: dict[str, set[str]] = {name: set() for name in known}
+    for path in modules():
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import):
+                named = {a.name for a in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module:
+                whole = {f"{node.module}.{a.name}" for a in node.names}
+                # `from mocap import sensors` takes the file, not what the package's own file names.
+                named = {n if n in known else node.module for n in whole}
+            else:
+                continue
+            found[name_of(path)] |= (named & known) - {name_of(path)}
+    return found
+
+
+def circle(graph: dict[str, set[str]]) -> list[str]:
+    """Files that import each other in a circle, in order; empty where there is none."""
+    done: set[str] = set()
+
+    def visit(name: str, trail: list[str]) -> list[str]:
+        if name in trail:
+            return [*trail[trail.index(name) :], name]
+        if name in done:
+            return []
+        for other in sorted(graph[name]):
+            found = visit(other, [*trail, name])
+            if found:
+                return found
+        done.add(name)
+        return []
+
+    return next((found for name in sorted(graph) if (found := visit(name, []))), [])
+
+
+# Arrows that may close a circle, each with its reason.
+EXCUSED = {
+    ("sip.settings", "sip.problem"),  # the type of what the user's own terms are given
+}
+
+
+def test_no_file_imports_in_a_circle() -> None:
+    graph = {a: {b for b in bs if (a, b) not in EXCUSED} for a, bs in arrows().items()}
+    assert circle(graph) == []
+
+
+ROOMS = ("formats", "synthesis", "evaluation", "calibration")
+BETWEEN_ROOMS = {("formats", "calibration"), ("calibration", "synthesis")}
+# Skeleton.from_smpl_file is the door to the user's body file.
+DOORS = {("mocap.skeleton", "mocap.formats.smpl")}
+
+
+def room(name: str) -> str:
+    """The room of a file of mocap; the core types are in none. The data set stands above all."""
+    parts = name.split(".")
+    known = len(parts) > 1 and parts[0] == "mocap" and parts[1] in (*ROOMS, "dataset")
+    return parts[1] if known else "core"
+
+
+def test_rooms_of_mocap_know_the_core_and_hardly_each_other() -> None:
+    for file, others in arrows().items():
+        # A package's own file names what its files hold, for users to import.
+        if not file.startswith("mocap.") or room(file) == "dataset":
+            continue
+        for other in others:
+            here, there = room(file), room(other)
+            known = here == there or there == "core" or (here, there) in BETWEEN_ROOMS
+            assert known or (file, other) in DOORS, f"{file} imports {other}"
+
+
+def test_a_circle_is_found() -> None:
+    assert circle({"a": {"b"}, "b": {"c"}, "c": {"b"}}) == ["b", "c", "b"]
+
+
+def test_examples_show_the_library() -> None:
+    """Two show parts of the command line: comparing, and the live loop."""
+    users = {p.stem for p in (ROOT / "examples").glob("*.py") if "poser" in imported(p)}
+    assert users == {"compare_methods", "live_loop"}
+
+
 @pytest.mark.parametrize("module", ["mocap", "mocap.formats", "poser.__main__"])
 def test_import_is_light(module: str) -> None:
     heavy = ("casadi", "torch", "osqp", "matplotlib", "pinocchio", "vqf")

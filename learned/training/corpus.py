@@ -1,9 +1,10 @@
 """Motion capture as compact arrays: what training windows are cut from.
 
-A `Corpus` holds every clip at one rate, low-passed, as unit quaternions and root positions in float32.
-The cache lies outside the repository (`mocap.dataset.cache_folder`): one small file a motion file, written
-as soon as that one is read, so that reading 15,000 of them can be interrupted and a file more costs one
-file. Any of it may be deleted.
+A `Corpus` holds every clip at one rate, low-passed, as unit quaternions and root positions in float32; faults
+of the capture are turned back or marked before that (`mocap.faults`). The cache lies outside the repository
+(`mocap.dataset.cache_folder`): one small file a motion file, written as soon as that one is read, so that
+reading 15,000 of them can be interrupted and a file more costs one file. Any of it may be deleted. An entry
+holds for the file it was made from and the code that read it: with another one it is made anew.
 """
 
 from __future__ import annotations
@@ -13,30 +14,39 @@ import io
 import zipfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap import dataset, formats
+import mocap
+from mocap import dataset, faults, formats
 from mocap import orientation as ori
+from mocap.dataset import Clip
 from mocap.errors import PoserError
 from mocap.formats._files import write_aside
 from mocap.motion import Motion
 
 RATE_HZ = 60.0
 LOWPASS_HZ = 8.0
-# A rig whose ankle, head or wrist turns further than this from its bone has flipped (some Daz clips
-# do, by half a turn); people do not. Windows with such frames are left out.
-FLIP_RAD = np.deg2rad(110.0)
-_END_JOINTS = (7, 8, 12, 15, 20, 21)
-_VERSION = "4"
+# Of what training sees in a file: a run that was begun with another version does not go on.
+_VERSION = "5"
+# The code that decides which pose a file of captured motion is: where it changes, entries are made anew.
+_READ_BY = (
+    "faults.py", "formats/_asf_text.py", "formats/_bvh_text.py", "formats/_frames.py",
+    "formats/_geometry.py", "formats/_neutral.py", "formats/_rigs.py", "formats/_upright.py",
+    "formats/_retarget.py", "formats/_source.py", "formats/asfamc.py", "formats/bvh.py",
+)  # fmt: skip
 
 Float = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+Given = Path | Clip
+G = TypeVar("G", bound=Given)
 Progress = Callable[[int, int], None]
 Unreadable = Callable[[Path, PoserError], None]
-Arrays = tuple[Float, Float, NDArray[np.bool_]]  # q (N,24,4), p (N,3), sound (N,) of one clip
+Arrays = tuple[Float, Float, Mask, Mask]  # q (N,24,4), p (N,3), sound and mended (N,) of one clip
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,14 +54,14 @@ class Corpus:
     """Clips end to end at `RATE_HZ`.
 
     q (N,24,4): local rotations as unit quaternions, scalar first, sign-continuous within a clip. p (N,3)
-    m: the pelvis. sound (N,): the frame may train (no flipped rig). start, length (C,): frames of each
+    m: the pelvis. sound (N,): the frame may train (`Motion.trusted`). start, length (C,): frames of each
     clip; names (C,): what `pack` was given, of `read` the files' paths; weight (C,): probability of
     drawing it.
     """
 
     q: Float
     p: Float
-    sound: NDArray[np.bool_]
+    sound: Mask
     start: NDArray[np.int64]
     length: NDArray[np.int64]
     names: tuple[str, ...]
@@ -96,21 +106,24 @@ def pack(clips: Iterable[tuple[str, Motion]]) -> Corpus:
     Clips are drawn with probability proportional to the square root of their length: repetitive long
     clips count less than their frames, short ones more.
     """
-    found = [(name, _arrays(motion)) for name, motion in clips]
+    found = [(name, _arrays(motion.resampled(RATE_HZ))) for name, motion in clips]
     return _end_to_end(
-        [name for name, _ in found], [len(q) for _, (q, _, _) in found], (a for _, a in found)
+        [name for name, _ in found], [len(a[0]) for _, a in found], (a for _, a in found)
     )
 
 
-def _arrays(motion: Motion) -> Arrays:
-    """What a corpus holds of a motion."""
-    motion = motion.resampled(RATE_HZ)
+def _arrays(motion: Motion, mended: Mask | None = None) -> Arrays:
+    """What a corpus holds of a motion at `RATE_HZ`."""
     q = ori.to_quat(motion.R_parent_joint)
     sign = np.cumprod(np.sign(np.sum(q[1:] * q[:-1], axis=-1) + 1e-300), axis=0)
     q[1:] *= sign[..., None]
-    turn = ori.angle(motion.R_parent_joint[:, list(_END_JOINTS)])
-    sound = (turn < FLIP_RAD).all(axis=1)
-    return q.astype(np.float32), motion.p_world_root.astype(np.float32), sound
+    everywhere, nowhere = np.ones(len(q), bool), np.zeros(len(q), bool)
+    return (
+        q.astype(np.float32),
+        motion.p_world_root.astype(np.float32),
+        everywhere if motion.trusted is None else motion.trusted,
+        nowhere if mended is None else mended,
+    )
 
 
 def _end_to_end(names: Sequence[str], frames: Sequence[int], clips: Iterable[Arrays]) -> Corpus:
@@ -124,7 +137,7 @@ def _end_to_end(names: Sequence[str], frames: Sequence[int], clips: Iterable[Arr
     for name, at, n, arrays in zip(names, start, length, clips, strict=True):
         if len(arrays[0]) != n:
             raise PoserError(f"{name}: changed while it was read")
-        for whole, own in zip((q, p, sound), arrays, strict=True):
+        for whole, own in zip((q, p, sound), arrays[:3], strict=True):
             whole[at : at + n] = own
     return Corpus(q, p, sound, start, length, tuple(names), weight / weight.sum())
 
@@ -140,101 +153,134 @@ def prepared(motion: Motion) -> Motion:
     return motion.lowpassed(LOWPASS_HZ).resampled(RATE_HZ)
 
 
-def key_of(paths: Sequence[Path]) -> str:
+def key_of(given: Sequence[Given]) -> str:
     """16 hexadecimal digits that change with the files (path, size, time) and with how they are read.
 
     Raises PoserError where a file is absent.
     """
     key = hashlib.sha256(_VERSION.encode())
-    for path in paths:
-        key.update(f"{_identity(path)}\n".encode())
+    for one in given:
+        key.update(f"{_identity(one)}\n".encode())
     return key.hexdigest()[:16]
 
 
-def _identity(path: Path) -> str:
-    """A file's path, size and time. Not its bytes: of AMASS they would take minutes at every start."""
+def _identity(given: Given) -> str:
+    """A file's path, size and time, and the rate that it is read at where that is not its own. Not its bytes:
+    of AMASS they would take minutes at every start."""
+    path = _path(given)
     try:
         stat = path.stat()
     except OSError as e:
         raise PoserError(f"{path}: {e.strerror}") from e
-    return f"{path.resolve()}|{stat.st_size}|{stat.st_mtime_ns}"
+    rate = given.rate_hz if isinstance(given, Clip) else None
+    at = f"|{rate:g} Hz" if rate else ""
+    return f"{path.resolve()}|{stat.st_size}|{stat.st_mtime_ns}{at}"
 
 
-def read(paths: Sequence[Path], progress: Progress | None = None) -> Corpus:
+def _path(given: Given) -> Path:
+    return given.path if isinstance(given, Clip) else given
+
+
+@cache
+def _readers() -> str:
+    """8 hexadecimal digits of the code that makes an entry of the cache from a file."""
+    here = Path(mocap.__file__).parent
+    digest = hashlib.sha256(_VERSION.encode())
+    for name in _READ_BY:
+        digest.update((here / name).read_bytes())
+    return digest.hexdigest()[:8]
+
+
+def read(given: Sequence[G], progress: Progress | None = None) -> Corpus:
     """The corpus of motion files of any format, each from the cache where it is there.
 
     Raises PoserError naming the file where one cannot be read or holds no motion.
     """
-    return cached(frames(paths, progress))
+    return cached(frames(given, progress))
 
 
 def frames(
-    paths: Sequence[Path], progress: Progress | None = None, unreadable: Unreadable | None = None
-) -> dict[Path, int]:
+    given: Sequence[G], progress: Progress | None = None, unreadable: Unreadable | None = None
+) -> dict[G, int]:
     """How many frames a corpus has of each file, zero of motions too short to train; the cache has all then.
 
     unreadable: told of every file that cannot be read or holds no motion, and why; the file is left out.
     Raises PoserError naming the file where nobody is told, and where none is left.
     """
-    found: dict[Path, int] = {}
+    found: dict[G, int] = {}
     first: PoserError | None = None
-    for i, path in enumerate(paths):
+    for i, one in enumerate(given):
         try:
-            found[path] = _frames(path)
+            found[one] = _frames(one)
         except PoserError as e:
             if unreadable is None:
                 raise
-            unreadable(path, e)
+            unreadable(_path(one), e)
             first = first or e
         if progress:
-            progress(i + 1, len(paths))
+            progress(i + 1, len(given))
     if first and not found:
         raise PoserError(f"none of the motions can be read: {first}") from first
     return found
 
 
-def cached(found: Mapping[Path, int]) -> Corpus:
+def cached(found: Mapping[G, int]) -> Corpus:
     """The corpus of what `frames` has found."""
-    long = {path: n for path, n in found.items() if n}
-    return _end_to_end([str(p) for p in long], list(long.values()), map(_clip, long))
+    long = {one: n for one, n in found.items() if n}
+    return _end_to_end([str(_path(one)) for one in long], list(long.values()), map(_clip, long))
 
 
-def _frames(path: Path) -> int:
+def counts(given: Given) -> tuple[int, int, int]:
+    """Of a file, from the cache where it is there: (frames at `RATE_HZ`, those that may not train, those of
+    the others in which a fault was turned back)."""
+    _, _, sound, mended = _clip(given)
+    return len(sound), int((~sound).sum()), int((sound & mended).sum())
+
+
+def _frames(given: Given) -> int:
     """How many frames `_clip` has of a file, which is in the cache then."""
-    entry, made_from = _entry(path)
+    entry, made_from = _entry(given)
     found = _stored(entry, "sound", "made_from")
-    return len(found[0]) if found and str(found[1]) == made_from else len(_clip(path)[0])
+    return len(found[0]) if found and str(found[1]) == made_from else len(_clip(given)[0])
 
 
-def _clip(path: Path) -> Arrays:
+def _clip(given: Given) -> Arrays:
     """The motion of a file, from the cache where it is there; of no frames where it is shorter than 8."""
-    entry, made_from = _entry(path)
-    found = _stored(entry, "q", "p", "sound", "made_from")
-    if found and str(found[3]) == made_from:
-        return found[0], found[1], found[2]
-    motion = formats.read(path).content
-    if not isinstance(motion, Motion):
-        raise PoserError(f"{path}: holds no motion, but a {type(motion).__name__}")
+    entry, made_from = _entry(given)
+    found = _stored(entry, "q", "p", "sound", "mended", "made_from")
+    if found and str(found[4]) == made_from:
+        return found[0], found[1], found[2], found[3]
     arrays: Arrays = (
-        np.empty((0, 24, 4), np.float32),
-        np.empty((0, 3), np.float32),
-        np.empty(0, bool),
-    )
-    if len(motion) >= 8:
-        arrays = _arrays(prepared(motion))
+        np.empty((0, 24, 4), np.float32), np.empty((0, 3), np.float32), np.empty(0, bool), np.empty(0, bool),
+    )  # fmt: skip
+    done = _captured(given)
+    if len(done.motion) >= 8:
+        motion = prepared(done.motion)
+        arrays = _arrays(motion, done.mended_at(motion))
     with write_aside(entry) as aside:
-        q, p, sound = arrays
-        np.savez(aside, q=q, p=p, sound=sound, made_from=np.array(made_from))
+        q, p, sound, mended = arrays
+        np.savez(aside, q=q, p=p, sound=sound, mended=mended, made_from=np.array(made_from))
     return arrays
 
 
-def _entry(path: Path) -> tuple[Path, str]:
+def _captured(given: Given) -> faults.Mended:
+    """The motion of a file as it was captured, without its faults."""
+    if isinstance(given, Clip):
+        return given.read()
+    motion = formats.read(given).content
+    if not isinstance(motion, Motion):
+        raise PoserError(f"{given}: holds no motion, but a {type(motion).__name__}")
+    return faults.mend(motion)
+
+
+def _entry(given: Given) -> tuple[Path, str]:
     """The cache file of a motion file, and what it must say that it was made from.
 
     It is named by the path alone, so that the entry of a file that has changed is replaced.
     """
-    name = hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:16]
-    return dataset.cache_folder() / "clips" / f"{name}.npz", f"{_VERSION}|{_identity(path)}"
+    name = hashlib.sha256(str(_path(given).resolve()).encode()).hexdigest()[:16]
+    made_from = f"{_readers()}|{_identity(given)}"
+    return dataset.cache_folder() / "clips" / f"{name}.npz", made_from
 
 
 def _stored(path: Path, *names: str) -> list[NDArray[Any]] | None:

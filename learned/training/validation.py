@@ -123,7 +123,7 @@ def recordings(
 
 def cut_for(network: str, recordings: Sequence[Recording], most: int | None = None) -> Windowed:
     """Windows as the network sees them online, evenly over all recordings, about `most` in all; none for a
-    frame at which nothing is worn.
+    frame at which nothing is worn, and none for one whose truth is not trusted.
 
     Raises PoserError where there is no recording, or no such frame.
     """
@@ -136,7 +136,16 @@ def cut_for(network: str, recordings: Sequence[Recording], most: int | None = No
     worn = windows.there.any(1)
     if not worn.any():
         raise PoserError("no sensor measured anything in what is to validate")
-    return windows.only(worn)
+    trusted = np.concatenate([_trusted(r)[::stride] for r in recordings])
+    if not (worn.numpy() & trusted).any():
+        raise PoserError("no pose of what is to validate is trusted")
+    return windows.only(worn & torch.as_tensor(trusted))
+
+
+def _trusted(recording: Recording) -> np.ndarray:
+    """(T,): the frames whose reference pose is right."""
+    known = None if recording.reference is None else recording.reference.trusted
+    return np.ones(len(recording), bool) if known is None else known
 
 
 def predict(model: Model, windows: Windowed, reconstruct_acc: bool = True) -> tuple[Tensor, float]:

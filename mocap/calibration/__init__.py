@@ -1,6 +1,28 @@
 """Raw sensors to bones: a static pose, where the wearer faces, headings, and what is wrong with a sensor."""
 
-from mocap.calibration.calibrate import Calibration, calibrate
-from mocap.calibration.pose_facing import PoseName
+from __future__ import annotations
 
-__all__ = ["Calibration", "PoseName", "calibrate"]
+from typing import TYPE_CHECKING
+
+from mocap.exports import lazy
+
+if TYPE_CHECKING:
+    from mocap.calibration.pose_facing import PoseName
+    from mocap.calibration.procedure import calibrate, diagnose
+    from mocap.calibration.record import Calibration
+    from mocap.calibration.words import sentence, summary
+
+__all__ = ["Calibration", "PoseName", "calibrate", "diagnose", "sentence", "summary"]
+
+# Readers need the checks alone, not what calibration imports of scipy.
+__getattr__ = lazy(
+    __name__,
+    {
+        "Calibration": "record",
+        "PoseName": "pose_facing",
+        "calibrate": "procedure",
+        "diagnose": "procedure",
+        "sentence": "words",
+        "summary": "words",
+    },
+)

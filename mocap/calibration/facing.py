@@ -28,10 +28,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import butter, sosfiltfilt
 
-from mocap import orientation as ori
-from mocap.calibration.static_pose import Pose, Window
+from mocap.calibration.static_pose import StaticPose, Window
 from mocap.errors import CalibrationError, SensorError
 from mocap.orientation import Array
 from mocap.recording import RawRecording
@@ -81,7 +79,7 @@ def kind(sensor: str) -> str:
     return sensor.removeprefix("left_").removeprefix("right_")
 
 
-def carried(raw: RawRecording, pose: Pose, s: int) -> tuple[Array, Array, Index]:
+def carried(raw: RawRecording, pose: StaticPose, s: int) -> tuple[Array, Array, Index]:
     """u (N,3) rad/s low-passed at 5 Hz, v (N,3), and the frames (N,) they belong to, of sensor s.
 
     Frames that are invalid are left out.
@@ -98,11 +96,13 @@ def lowpass(x: Array, cutoff_hz: float, rate_hz: float) -> Array:
     """Zero-phase 2nd-order low-pass along axis 0; unchanged where it is too short or slow for it."""
     if cutoff_hz >= rate_hz / 2 or len(x) < 16:
         return x
+    from scipy.signal import butter, sosfiltfilt  # slow to import, and readers filter nothing
+
     sos = butter(2, cutoff_hz / (rate_hz / 2), output="sos")
     return np.asarray(sosfiltfilt(sos, x, axis=0, padlen=min(len(x) - 1, int(rate_hz / cutoff_hz))))
 
 
-def known_axes(axes: Mapping[str, str], raw: RawRecording, pose: Pose) -> list[Cue]:
+def known_axes(axes: Mapping[str, str], raw: RawRecording, pose: StaticPose) -> list[Cue]:
     """Cues from declared mountings such as {"pelvis": "x forward", "head": "-z left"}.
 
     The sensor's axis points in that direction of the body in the pose. Raises CalibrationError where
@@ -123,7 +123,7 @@ def parsed_axis(text: str) -> tuple[float, int, str]:
     return -1.0 if words[0].startswith("-") else 1.0, "xyz".index(axis), words[1]
 
 
-def _known_axis(name: str, text: str, raw: RawRecording, pose: Pose) -> Cue:
+def _known_axis(name: str, text: str, raw: RawRecording, pose: StaticPose) -> Cue:
     if name not in raw.sensors:
         raise SensorError(
             f"axis of {name}: no such sensor in the recording; it has: {', '.join(raw.sensors)}"
@@ -143,7 +143,7 @@ def _known_axis(name: str, text: str, raw: RawRecording, pose: Pose) -> Cue:
 
 
 def second_pose(
-    raw: RawRecording, first: Pose, second: Pose, B_first: Array, B_second: Array
+    raw: RawRecording, first: StaticPose, second: StaticPose, B_first: Array, B_second: Array
 ) -> list[Cue]:
     """Cues from two static poses whose bones B (S,3,3) are known, such as N and T.
 
@@ -178,7 +178,7 @@ def hanging_arm(name: str, v: Array, rate_hz: float) -> Cue | None:
     return Cue(name, phi, float(sigma), "hanging arms")
 
 
-def arm_swing(raw: RawRecording, pose: Pose, legs: list[Cue]) -> list[Cue]:
+def arm_swing(raw: RawRecording, pose: StaticPose, legs: list[Cue]) -> list[Cue]:
     """Cues for the arms from a gait: each arm swings with the leg of the other side.
 
     With r the difference of the forward rates of the two legs (thighs, else shanks; zero in squats and
@@ -215,7 +215,7 @@ def arm_swing(raw: RawRecording, pose: Pose, legs: list[Cue]) -> list[Cue]:
     return cues
 
 
-def _rate(raw: RawRecording, pose: Pose, sensor: str) -> Array:
+def _rate(raw: RawRecording, pose: StaticPose, sensor: str) -> Array:
     """h(u) (T,) of one sensor below 2 Hz, zero where it is invalid."""
     s = raw.sensors.index(sensor)
     u, _, frames = carried(raw, pose, s)
@@ -224,7 +224,9 @@ def _rate(raw: RawRecording, pose: Pose, sensor: str) -> Array:
     return complex_heading(lowpass(full, 2.0, raw.rate_hz))
 
 
-def from_motion(raw: RawRecording, pose: Pose, window: Window, arms_hang: bool = True) -> list[Cue]:
+def from_motion(
+    raw: RawRecording, pose: StaticPose, window: Window, arms_hang: bool = True
+) -> list[Cue]:
     """Cues from whatever legs, trunk and arms do. arms_hang: the pose is an N-pose, not a T-pose."""
     cues = []
     for s, name in enumerate(raw.sensors):
@@ -373,9 +375,3 @@ def pelvis_first(sensors: tuple[str, ...]) -> str:
         if name in sensors:
             return name
     return sensors[0]
-
-
-def yaw_since_pose(raw: RawRecording, pose: Pose) -> Array:
-    """(T,S) rad: heading of each sensor since the pose, that of R_ws(t) R_ws(pose)^T."""
-    assert raw.R_world_sensor is not None
-    return ori.heading(raw.R_world_sensor @ np.swapaxes(pose.R_world_sensor, -1, -2))

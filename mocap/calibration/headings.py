@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
 
 from mocap.calibration.facing import Cue, complex_heading, wrap
 from mocap.calibration.fusion import bridged
@@ -119,6 +118,8 @@ def _pair(a: int, b: int, h: Array, n: float, apart: int) -> Relative | None:
 
 
 def _bandpass(x: Array, low: float, high: float, rate_hz: float) -> Array:
+    from scipy.signal import butter, sosfiltfilt  # slow to import, and readers filter nothing
+
     sos = butter(2, [2 * low / rate_hz, 2 * high / rate_hz], "band", output="sos")
     return np.asarray(sosfiltfilt(sos, x, axis=0, padlen=min(len(x) - 1, int(rate_hz / low))))
 

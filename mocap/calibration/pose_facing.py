@@ -9,14 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from mocap import sensors as places
 from mocap.calibration import facing as face
 from mocap.calibration import headings as heads
-from mocap.calibration.static_pose import Pose, Window, average, find_static
+from mocap.calibration.static_pose import StaticPose, Window, average, find_static
 from mocap.findings import Finding
 from mocap.orientation import Array
 from mocap.recording import RawRecording
@@ -49,7 +49,7 @@ class PoseFacing:
 
 def find(
     raw: RawRecording,
-    static: Pose,
+    static: StaticPose,
     window: Window,
     bones: Array,
     arms_hang: bool,
@@ -59,21 +59,21 @@ def find(
 ) -> PoseFacing:
     """The facing in the pose `static`, `window`, in which bones have R_world_bone `bones` (S,3,3).
 
-    arms_hang: whether the arms hang in it. facing (deg), axes, second: see `mocap.calibration.calibrate`.
+    arms_hang: whether the arms hang in it. facing (deg), axes, second: see `mocap.calibration.procedure`.
     Raises CalibrationError where the second pose lies outside the recording or an axis is unknown.
     """
     told, doubts = _second_pose(raw, static, bones, second) if second else ([], [])
     cues = _cues(raw, static, window, facing, axes, told, arms_hang)
     phi, sigma, method, said = _headings(raw, cues)
     if told and "second pose" not in method:
-        text = f"the second pose is not used: {method} says otherwise of where the wearer faced"
-        said.append(Finding("warning", None, "second-pose-disagrees", text))
+        details = {"method": method}
+        said.append(Finding("warning", None, "second-pose-disagrees", None, details))
     return PoseFacing(phi, sigma, method, doubts + said)
 
 
 def _cues(
     raw: RawRecording,
-    static: Pose,
+    static: StaticPose,
     window: Window,
     facing: float | None,
     axes: Mapping[str, str] | None,
@@ -100,34 +100,34 @@ def _cues(
 
 
 def _second_pose(
-    raw: RawRecording, static: Pose, bones: Array, second: OtherPose
+    raw: RawRecording, static: StaticPose, bones: Array, second: OtherPose
 ) -> tuple[list[face.Cue], list[Finding]]:
     """Cues from another static pose, and a warning where the wearer was not in it."""
     window = find_static(raw, second.at)
     other = average(raw, window)
     cues = face.second_pose(raw, static, other, bones, second.bones)
     a, b = window.seconds(raw)
-    what = f"the second pose ({second.name.upper()}, {a:.2f} to {b:.2f} s)"
+    pose: dict[str, Any] = {"pose": second.name, "start_s": a, "end_s": b}
     doubts = []
     if not window.still:
-        text = f"{what}: the wearer moves then ({np.degrees(window.rate):.0f} deg/s)"
-        doubts.append(Finding("warning", None, "second-pose-not-still", text, window.rate))
+        details = {**pose, "rate_deg_s": float(np.degrees(window.rate))}
+        doubts.append(Finding("warning", None, "second-pose-not-still", window.rate, details))
     expected = _tilt_deg(bones, second.bones)
     seen = _tilt_deg(static.R_world_sensor, other.R_world_sensor)
     off = np.where(expected > TELLING_DEG, np.abs(seen - expected), 0.0)
     worst = int(off.argmax())
     if not (expected > TELLING_DEG).any():
-        text = (
-            f"{what} is not used: no bone with a sensor tilts by more than {TELLING_DEG:.0f} deg "
-            f"between the poses"
-        )
-        doubts.append(Finding("warning", None, "second-pose", text))
+        details = {**pose, "least_deg": TELLING_DEG}
+        doubts.append(Finding("warning", None, "second-pose", None, details))
     elif off[worst] > TELLING_DEG or not cues:
-        text = (
-            f"{what} {'does not fit' if cues else 'is not used'}: {raw.sensors[worst]} tilts by "
-            f"{seen[worst]:.0f} deg between the poses, {expected[worst]:.0f} expected"
-        )
-        doubts.append(Finding("warning", None, "second-pose", text, float(off[worst])))
+        details = {
+            **pose,
+            "tilts": raw.sensors[worst],
+            "seen_deg": float(seen[worst]),
+            "expected_deg": float(expected[worst]),
+            "used": bool(cues),
+        }
+        doubts.append(Finding("warning", None, "second-pose", float(off[worst]), details))
     return cues, doubts
 
 
@@ -164,30 +164,19 @@ def _headings(raw: RawRecording, cues: list[face.Cue]) -> tuple[Array, Array, st
 
 
 def _ambiguous(phi: float, method: str) -> Finding:
-    text = (
-        f"the wearer faces {np.degrees(phi):.0f} deg in the sensors' world by the {method}, but it could be "
-        f"the opposite way, {np.degrees(face.wrap(phi + np.pi)):.0f} deg: give the facing (--facing)"
-    )
-    return Finding("warning", None, "facing-ambiguous", text, 180.0)
+    details = {
+        "facing_deg": float(np.degrees(phi)),
+        "opposite_deg": float(np.degrees(face.wrap(phi + np.pi))),
+        "method": method,
+    }
+    return Finding("warning", None, "facing-ambiguous", 180.0, details)
 
 
 def _heading_off(cue: face.Cue, off: float) -> Finding:
-    text = (
-        f"sensor {cue.sensor}: its heading is {np.degrees(off):+.0f} deg from that of the others, by the "
-        f"{cue.method}: its world is not theirs"
-    )
-    return Finding("warning", cue.sensor, "heading-off", text, float(np.degrees(off)))
+    degrees = float(np.degrees(off))
+    details = {"off_deg": degrees, "method": cue.method}
+    return Finding("warning", cue.sensor, "heading-off", degrees, details)
 
 
 def _assumed(sensor: str | None) -> Finding:
-    if sensor is None:
-        text = (
-            "where the wearer faces in the pose cannot be told from the data: 0 deg in the sensors' "
-            "world is ASSUMED; give the facing, a known axis, a second pose, or record walking"
-        )
-    else:
-        text = (
-            f"sensor {sensor}: nothing ties its heading to the others', so its facing is ASSUMED; "
-            f"give a known axis of it, a second pose, or record walking and bending"
-        )
-    return Finding("warning", sensor, "facing-assumed", text, 180.0)
+    return Finding("warning", sensor, "facing-assumed", 180.0)

@@ -57,7 +57,7 @@ class Window:
 
 
 @dataclass(frozen=True, eq=False)
-class Pose:
+class StaticPose:
     """Averages over a window.
 
     R_world_sensor (S,3,3): chordal means. acc (S,3) m/s^2: mean specific force in the sensor's frame.
@@ -121,7 +121,7 @@ def _apart_deg(raw: RawRecording, first: tuple[int, int], other: tuple[int, int]
     return float(np.degrees(np.arccos(np.clip(np.where(size > 0, cos, 1.0), -1, 1))).max())
 
 
-def average(raw: RawRecording, window: Window) -> Pose:
+def average(raw: RawRecording, window: Window) -> StaticPose:
     """Mean orientation and specific force of every sensor over the window.
 
     Needs R_world_sensor. Raises CalibrationError naming a sensor that has no valid sample there.
@@ -143,7 +143,7 @@ def average(raw: RawRecording, window: Window) -> Pose:
         R[s], acc[s] = ori.mean(R_all[ok, s]), acc_all[ok, s].mean(axis=0)
         if len(ok) >= 3:
             moved[s], wobble[s] = _drift(R_all[ok, s])
-    return Pose(R, acc, moved, wobble)
+    return StaticPose(R, acc, moved, wobble)
 
 
 def _drift(R: Array) -> tuple[float, float]:
@@ -236,7 +236,7 @@ def _sits(leans: Array, stance: Array) -> bool:
     return bool((np.nan_to_num(leans - stance) > SEATED_DEG).any())
 
 
-def tilt_from_pose(raw: RawRecording, a: int, b: int, pose: Pose) -> Array:
+def tilt_from_pose(raw: RawRecording, a: int, b: int, pose: StaticPose) -> Array:
     """Angle (S,) in deg between up in the sensor's frame during [a, b) and in the pose.
 
     Independent of any heading; NaN without a valid sample.

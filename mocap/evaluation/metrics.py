@@ -3,7 +3,8 @@
 The field's evaluator (TransPose, PIP, PNP share it) masks the root's orientation, wrists, hands,
 ankles and feet before it measures; the figures beside it (`root_deg`, `global_deg`,
 `world_position_cm`) mask nothing. Both motions are put on the table's unscaled skeleton and the
-prediction is resampled on the manifold to the reference's rate.
+prediction is resampled on the manifold to the reference's rate. Frames at which the reference is not trusted
+count nowhere.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mocap import orientation as ori
 from mocap import sensors as places
@@ -22,6 +24,7 @@ from mocap.orientation import Array
 from mocap.recording import Recording
 from mocap.skeleton import Skeleton
 
+Mask = NDArray[np.bool_]
 MASKED: tuple[int, ...] = (0, 7, 8, 10, 11, 20, 21, 22, 23)
 """Joints whose local rotation the field's evaluator sets to the identity."""
 SIP_JOINTS: tuple[int, ...] = (1, 2, 16, 17)
@@ -43,8 +46,9 @@ class Metrics:
     positions aligned, rotations untouched. translation_m: {"1","2","5"} s, m. translation_m_per_m:
     after one metre travelled.
 
-    Kept for the report, not part of the JSON: angle_deg (T,24) global and unmasked,
-    masked_angle_deg (T,24), distance_cm (T,24) masked.
+    frames: those that count. Kept for the report, not part of the JSON: angle_deg (T,24) global and
+    unmasked, masked_angle_deg (T,24), distance_cm (T,24) masked, NaN at frames that do not count;
+    untrusted_frames: how many these are.
     """
 
     frames: int
@@ -66,6 +70,7 @@ class Metrics:
     angle_deg: Array | None = None
     masked_angle_deg: Array | None = None
     distance_cm: Array | None = None
+    untrusted_frames: int = 0
 
     def to_json(self) -> dict[str, Any]:
         """The figures under their JSON names; arrays are left out."""
@@ -85,16 +90,16 @@ class Metrics:
     @property
     def joint_deg(self) -> Array | None:
         """(24,) deg: mean global angle of each joint, nothing masked."""
-        return None if self.angle_deg is None else self.angle_deg.mean(axis=0)
+        return None if self.angle_deg is None else np.nanmean(self.angle_deg, axis=0)
 
     @property
     def joint_cm(self) -> Array | None:
         """(24,) cm: mean distance of each joint, masked, roots aligned."""
-        return None if self.distance_cm is None else self.distance_cm.mean(axis=0)
+        return None if self.distance_cm is None else np.nanmean(self.distance_cm, axis=0)
 
 
-_ARRAYS = ("angle_deg", "masked_angle_deg", "distance_cm")
-JSON_NAMES: tuple[str, ...] = tuple(f.name for f in fields(Metrics) if f.name not in _ARRAYS)
+_KEPT = ("angle_deg", "masked_angle_deg", "distance_cm", "untrusted_frames")
+JSON_NAMES: tuple[str, ...] = tuple(f.name for f in fields(Metrics) if f.name not in _KEPT)
 
 
 def evaluate(
@@ -104,16 +109,18 @@ def evaluate(
     recording: Recording | None = None,
     seen: tuple[str, ...] | None = None,
     smpl: Skeleton | None = None,
+    trusted: Mask | None = None,
 ) -> Metrics:
     """Compare `prediction` with `reference`.
 
     recording: what all sensors measured, over the same time, for `left_out_deg`. seen: the sensors
     that the method saw (default: all of `recording`), for `instrumented_deg` and `left_out_deg`.
-    smpl: a body with a mesh, for `mesh_cm`. Without a reference only `left_out_deg` and `jitter`
-    are defined.
+    smpl: a body with a mesh, for `mesh_cm`. trusted (T,): the frames of the reference that count (default:
+    its own `trusted`); a step of jitter or translation that touches another one does not count either.
+    Without a reference only `left_out_deg` and `jitter` are defined.
 
-    Raises PoserError where the lengths differ by more than one period of the slower motion, and
-    where neither reference nor recording is given.
+    Raises PoserError where the lengths differ by more than one period of the slower motion, where no frame
+    counts, and where neither reference nor recording is given.
     """
     left_out = None
     if recording is not None and seen is not None:
@@ -127,35 +134,53 @@ def evaluate(
         return Metrics(len(p), p.rate_hz, jitter=_jitter(_Body.of(p)), left_out_deg=left_out)
     p = _aligned(prediction, reference.rate_hz, len(reference), "the reference")
     r = reference.on(Skeleton.default()).slice(0, len(p))
+    counts = _counts(reference, trusted)[: len(p)]
     P, R = _Body.of(p), _Body.of(r)
     angle = np.rad2deg(ori.angle_between(p.R_world_joint, r.R_world_joint))
     masked = np.rad2deg(ori.angle_between(P.R, R.R))
     local = np.rad2deg(ori.angle_between(p.R_parent_joint, r.R_parent_joint)[:, list(DIP_JOINTS)])
     distance = 100 * np.linalg.norm(P.p - R.p, axis=-1)
     world = np.linalg.norm(_from_root(p) - _from_root(r), axis=-1)
+    for each in (angle, masked, local, distance, world):
+        each[~counts] = np.nan
     joints = _instrumented(recording, seen)
-    translation, per_metre = _translation(p, r)
+    translation, per_metre = _translation(p, r, counts)
     return Metrics(
-        frames=len(p),
+        frames=int(counts.sum()),
         rate_hz=r.rate_hz,
-        sip_deg=float(masked[:, list(SIP_JOINTS)].mean()),
-        angular_deg=float(masked.mean()),
-        local_angular_deg=float(local.mean()),
-        position_cm=float(distance.mean()),
-        mesh_cm=_mesh_cm(p, r, smpl),
-        jitter=_jitter(P),
-        jitter_reference=_jitter(R),
-        root_deg=float(angle[:, 0].mean()),
-        global_deg=float(angle.mean()),
-        instrumented_deg=float(angle[:, joints].mean()) if joints else None,
+        sip_deg=float(np.nanmean(masked[:, list(SIP_JOINTS)])),
+        angular_deg=float(np.nanmean(masked)),
+        local_angular_deg=float(np.nanmean(local)),
+        position_cm=float(np.nanmean(distance)),
+        mesh_cm=_mesh_cm(p, r, smpl, counts),
+        jitter=_jitter(P, counts),
+        jitter_reference=_jitter(R, counts),
+        root_deg=float(np.nanmean(angle[:, 0])),
+        global_deg=float(np.nanmean(angle)),
+        instrumented_deg=float(np.nanmean(angle[:, joints])) if joints else None,
         left_out_deg=left_out,
-        world_position_cm=float(100 * world.mean()),
+        world_position_cm=float(100 * np.nanmean(world)),
         translation_m=translation,
         translation_m_per_m=per_metre,
         angle_deg=angle,
         masked_angle_deg=masked,
         distance_cm=distance,
+        untrusted_frames=int((~counts).sum()),
     )
+
+
+def _counts(reference: Motion, trusted: Mask | None) -> Mask:
+    """(T,): the frames of the reference that count."""
+    own = reference.trusted if trusted is None else np.asarray(trusted)
+    if own is None:
+        return np.ones(len(reference), bool)
+    if own.shape != (len(reference),) or own.dtype != bool:
+        raise PoserError(
+            f"evaluate: trusted must be ({len(reference)},) bool, got {own.shape} {own.dtype}"
+        )
+    if not own.any():
+        raise PoserError("evaluate: no frame of the reference is trusted")
+    return np.array(own)
 
 
 def left_out_deg(prediction: Motion, recording: Recording, seen: tuple[str, ...]) -> float | None:
@@ -244,12 +269,20 @@ def _from_root(motion: Motion) -> Array:
     return p - p[:, :1]
 
 
-def _jitter(body: _Body) -> float | None:
+def _jitter(body: _Body, counts: Mask | None = None) -> float | None:
     """mean |p_{t+3} - 3 p_{t+2} + 3 p_{t+1} - p_t| rate^3 over frames and joints, in 100 m/s^3."""
     if len(body.p) < 4:
         return None
     jerk = np.diff(body.p, n=3, axis=0) * body.rate_hz**3
-    return float(np.linalg.norm(jerk, axis=-1).mean() / 100)
+    if counts is not None:
+        jerk = jerk[_whole(counts, 3)]
+    return float(np.linalg.norm(jerk, axis=-1).mean() / 100) if len(jerk) else None
+
+
+def _whole(counts: Mask, n: int) -> Mask:
+    """(T-n,): whether frames t to t+n all count."""
+    wrong = np.r_[0, np.cumsum(~counts)]
+    return np.asarray(wrong[n + 1 :] == wrong[: -n - 1])
 
 
 def _instrumented(recording: Recording | None, seen: tuple[str, ...] | None) -> list[int]:
@@ -276,7 +309,9 @@ def _unmeasured(motion: Motion) -> bool:
     return bool(moves and np.ptp(motion.p_world_root, axis=0).max() < STILL_M)
 
 
-def _translation(p: Motion, r: Motion) -> tuple[dict[str, float | None] | None, float | None]:
+def _translation(
+    p: Motion, r: Motion, counts: Mask
+) -> tuple[dict[str, float | None] | None, float | None]:
     """Mean |dp_pred - dp_ref| over all starts after 1, 2, 5 s, and per metre that the reference
     travels.
 
@@ -289,11 +324,15 @@ def _translation(p: Motion, r: Motion) -> tuple[dict[str, float | None] | None, 
     after: dict[str, float | None] = {}
     for seconds in HORIZONS_S:
         n = round(seconds * r.rate_hz)
-        drift = np.linalg.norm(error[n:] - error[:-n], axis=-1)
+        drift = np.linalg.norm(error[n:] - error[:-n], axis=-1)[
+            _whole(counts, n)[: max(0, len(error) - n)]
+        ]
         after[str(seconds)] = float(drift.mean()) if len(drift) else None
     path = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(r.p_world_root, axis=0), axis=-1))]
     end = np.searchsorted(path, path + 1.0 - 1e-9)
-    start = np.flatnonzero(end < len(path))
+    wrong = np.r_[0, np.cumsum(~counts)]
+    inside = np.minimum(end, len(path) - 1)
+    start = np.flatnonzero((end < len(path)) & (wrong[inside + 1] == wrong[:-1]))
     if not len(start):
         return after, None
     end = end[start]
@@ -301,7 +340,7 @@ def _translation(p: Motion, r: Motion) -> tuple[dict[str, float | None] | None, 
     return after, float((drift / (path[end] - path[start])).mean())
 
 
-def _mesh_cm(p: Motion, r: Motion, smpl: Skeleton | None) -> float | None:
+def _mesh_cm(p: Motion, r: Motion, smpl: Skeleton | None, counts: Mask) -> float | None:
     """Mean distance in cm over the mesh's vertices, masked, roots aligned, on the body of
     `smpl`.
     """
@@ -315,5 +354,6 @@ def _mesh_cm(p: Motion, r: Motion, smpl: Skeleton | None) -> float | None:
             local[:, list(MASKED)] = np.eye(3)
             masked = Motion(motion.rate_hz, local, np.zeros((len(local), 3)), smpl)
             vertices.append(smpl.mesh.vertices(masked))
-        total += float(np.linalg.norm(vertices[0] - vertices[1], axis=-1).mean(axis=-1).sum())
-    return 100 * total / len(p)
+        gap = np.linalg.norm(vertices[0] - vertices[1], axis=-1).mean(axis=-1)
+        total += float(gap[counts[start : start + chunk]].sum())
+    return 100 * total / int(counts.sum())

@@ -1,9 +1,9 @@
 """Units and axes of a recording, held against gravity, its own orientation and a reference.
 
 A contradiction raises FormatError naming file, sensor and field; a doubt is returned as a text for
-`Document.warnings`. The measures are `checks.units`'. What the shared diagnostics of a raw recording
-(`checks.single`) can name, such as reversed axes or a transposed orientation, is told in their words
-and left to `poser calibrate` to refuse; only what nothing explains is refused here.
+`Document.warnings`. The measures are `mocap.calibration.measures`'. What the shared diagnostics of a raw
+recording (`mocap.calibration.checks`) can name, such as reversed axes or a transposed orientation, is told
+in their words and left to `poser calibrate` to refuse; only what nothing explains is refused here.
 """
 
 from __future__ import annotations
@@ -13,18 +13,19 @@ from pathlib import Path
 import numpy as np
 
 from mocap import orientation as ori
-from mocap.calibration.checks import single as sensor_checks
-from mocap.calibration.checks import units as unit_checks
-from mocap.calibration.checks.channels import unmeasured, without_spikes
-from mocap.calibration.checks.rates import check_rates
-from mocap.calibration.checks.units import (
+from mocap.calibration import measures as unit_checks
+from mocap.calibration.checks import check_sensors, rates, spikes
+from mocap.calibration.evidence import gather
+from mocap.calibration.measures import (
     FASTEST,
     KEPT,
     WRONG_UNIT,
     gravity_size,
     smoothed,
+    unmeasured,
     usual_force,
 )
+from mocap.calibration.words import sentence
 from mocap.errors import FormatError
 from mocap.formats import Options
 from mocap.formats._checks import gap_report, half_report
@@ -50,8 +51,9 @@ def factors(options: Options) -> tuple[float, float]:
 def raw(path: Path, rec: RawRecording) -> list[str]:
     """Warnings on a raw recording; raises FormatError where units or axes contradict gravity."""
     doubts = gap_report(rec.valid, rec.sensors) + _absent(rec)
-    rec, spikes = without_spikes(rec)
-    doubts += [f.sentence for f in spikes]
+    evidence = gather(rec)
+    rec = evidence.raw
+    doubts += [sentence(f) for f in spikes.check(evidence)]
     if rec.R_world_sensor is not None:
         has = np.asarray(np.isfinite(rec.R_world_sensor).all(axis=(-1, -2)), bool)
         doubts += half_report(rec.valid & ~has, rec.sensors, "orientation")
@@ -169,7 +171,7 @@ def _gyroscope(path: Path, rec: RawRecording) -> list[str]:
             raise FormatError(path, f"{found}: in rad already (--units rad/s)?", where)
     if rec.R_world_sensor is None:
         return []
-    return [f.sentence for f in check_rates(rec).findings]
+    return [sentence(f) for f in rates.check(gather(rec))]
 
 
 def _up(path: Path, rec: RawRecording) -> list[str]:
@@ -187,9 +189,9 @@ def _up(path: Path, rec: RawRecording) -> list[str]:
     if not wrong:
         return []
     named: dict[str | None, list[str]] = {}
-    for f in sensor_checks.check_sensors(rec):
+    for f in check_sensors(rec):
         if f.severity == "error":
-            named.setdefault(f.sensor, []).append(f.sentence)
+            named.setdefault(f.sensor, []).append(sentence(f))
     doubts: list[str] = []
     for name, found, refused in wrong:
         if name in named:

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from mocap import orientation as ori
-from mocap.calibration.checks import units as unit_checks
+from mocap.calibration import measures as unit_checks
 from mocap.calibration.static_pose import find_static
 from mocap.errors import CalibrationError, FormatError
 from mocap.formats import (

@@ -12,21 +12,30 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mocap import tree
 from mocap.errors import FormatError, ShapeError
 from mocap.formats import _npz, _unpickle
 from mocap.formats._files import check_regular
-from mocap.motion import Motion
 from mocap.orientation import Array
-from mocap.skeleton import JOINTS, PARENTS, STATURE_RANGE, Skeleton
+from mocap.tree import PARENTS
 
 _NEEDED = ("v_template", "shapedirs", "posedirs", "weights", "J_regressor", "f", "kintree_table")
 MAX_VERTICES = 200_000
 _CHUNK = 32  # frames blended at once: 6890 vertices take 16 MB of matrices
+
+
+class Posed(Protocol):
+    """What skinning needs of a motion: R_parent_joint (T,24,3,3) and p_world_root (T,3) m."""
+
+    @property
+    def R_parent_joint(self) -> Array: ...
+    @property
+    def p_world_root(self) -> Array: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,17 +52,18 @@ class SmplMesh:
     posedirs: Array
     faces: NDArray[np.int64]
 
-    def vertices(self, motion: Motion) -> Array:
+    def vertices(self, motion: Posed) -> Array:
         """Vertices (T,V,3) m in our world of a motion's rotations and pelvis path, on this body.
 
         v_world = sum_j w_j (R_world_j (v - J_j) + p_world_j), v = template + posedirs (R_parent - I):
         linear blend skinning with pose blend shapes.
         """
-        body = Skeleton(JOINTS, PARENTS, self.joints - _of_parent(self.joints))
-        out = np.empty((len(motion), len(self.template), 3))
-        for part in (slice(t, t + _CHUNK) for t in range(0, len(motion), _CHUNK)):
+        T, offsets = len(motion.p_world_root), tree.offsets(PARENTS, self.joints)
+        out = np.empty((T, len(self.template), 3))
+        for part in (slice(t, t + _CHUNK) for t in range(0, T, _CHUNK)):
             local = motion.R_parent_joint[part]
-            R, p = body.forward(local, motion.p_world_root[part])
+            R = tree.rotations(PARENTS, local)
+            p = tree.positions(PARENTS, offsets, R, motion.p_world_root[part])
             feature = (local[:, 1:] - np.eye(3)).reshape(len(local), -1)
             v = self.template + (feature @ self.posedirs.reshape(-1, feature.shape[1]).T).reshape(
                 len(local), -1, 3
@@ -64,11 +74,11 @@ class SmplMesh:
         return out
 
 
-def read_body(path: str | Path, betas: ArrayLike | None = None) -> Skeleton:
-    """The body of an SMPL file with shape `betas` (N,), default zeros: joints in m, and its mesh.
+def read_mesh(path: str | Path, betas: ArrayLike | None = None) -> tuple[SmplMesh, Array]:
+    """The body of an SMPL file with shape `betas` (N,), default zeros, and that shape.
 
     joints = J_regressor @ (v_template + shapedirs @ betas). Shape coefficients beyond those of the file
-    are left out (AMASS names 16, the first SMPL files have 10). `Skeleton.mesh` is a `SmplMesh`.
+    are left out (AMASS names 16, the first SMPL files have 10). See `Skeleton.from_smpl_file`.
     Raises FormatError where the file is no SMPL model, ShapeError for betas that are no vector of finite
     numbers.
     """
@@ -84,20 +94,7 @@ def read_body(path: str | Path, betas: ArrayLike | None = None) -> Skeleton:
     n = min(len(shape), model.shapedirs.shape[2])
     template = model.template + model.shapedirs[:, :, :n] @ shape[:n]
     joints = model.regressor @ template
-    mesh = SmplMesh(template, joints, model.weights, model.posedirs, model.faces)
-    body = Skeleton(JOINTS, PARENTS, joints - _of_parent(joints), shape, mesh)
-    if not STATURE_RANGE[0] <= body.stature <= STATURE_RANGE[1]:
-        raise FormatError(
-            path,
-            f"a body {body.stature:.3g} m tall, expected {STATURE_RANGE[0]} to {STATURE_RANGE[1]} m",
-            f"betas {np.array2string(shape[:3], precision=2)}...",
-        )
-    return body
-
-
-def _of_parent(joints: Array) -> Array:
-    """The rest position (24,3) of each joint's parent; zero for the root."""
-    return np.where(np.array(PARENTS)[:, None] < 0, 0.0, joints[list(PARENTS)])
+    return SmplMesh(template, joints, model.weights, model.posedirs, model.faces), shape
 
 
 @dataclass(frozen=True, eq=False)

@@ -130,10 +130,10 @@ def _with_doubts(
 
     Doubts about sensors that are not used, and those that the diagnostics state themselves, are left out.
     """
-    from mocap.calibration.diagnostics import ORDER
-    from mocap.findings import Finding
+    from mocap.calibration import sentence
+    from mocap.findings import ORDER, Finding
 
-    told = {f.sentence for f in calibration.diagnostics}
+    told = set(map(sentence, calibration.diagnostics))
     more = []
     for text in doubts:
         head = re.match(r"sensor ([^:]+):", text)
@@ -144,7 +144,7 @@ def _with_doubts(
         # Several may share this code, unlike those of the checks.
         code = "missing-samples" if gap else "reader"
         severity: Severity = "info" if gap else "warning"
-        more.append(Finding(severity, sensor, code, text))
+        more.append(Finding(severity, sensor, code, None, {"said": text}))
     if not more:
         return recording, calibration
     more = sorted([*calibration.diagnostics, *more], key=lambda f: ORDER[f.severity])
@@ -181,6 +181,8 @@ def record(calibration: Calibration, recording: Recording) -> dict[str, Any]:
 def _print(path: Path, calibration: Calibration, recording: Recording) -> None:
     import numpy as np
 
+    from mocap.calibration.words import clause
+
     start, stop = calibration.time
     sigma = float(np.rad2deg(calibration.heading_sigma).max())
     codes = {f.code for f in calibration.diagnostics}
@@ -190,15 +192,10 @@ def _print(path: Path, calibration: Calibration, recording: Recording) -> None:
     say(f"facing: {calibration.method} ({sure})")
     say(f"orientation: {calibration.orientation}")
     for f in calibration.diagnostics:
-        say(f"{f.severity:<8} {f.sensor or 'body'}: {_without(f.sensor, f.sentence)}")
+        say(f"{f.severity:<8} {f.sensor or 'body'}: {clause(f)}")
     if not calibration.diagnostics:
         say("nothing doubtful")
     say(
         f"{path}: {len(recording)} frames at {recording.rate_hz:g} Hz, "
         f"{len(recording.sensors)} sensors"
     )
-
-
-def _without(sensor: str | None, sentence: str) -> str:
-    """The sentence without the sensor's name, which stands before it already."""
-    return sentence.removeprefix(f"sensor {sensor}: ") if sensor else sentence

@@ -163,7 +163,8 @@ def _check_inputs(args: Namespace, outputs: list[Path]) -> None:
 
 
 def _jobs(args: Namespace) -> list[Job]:
-    from mocap import timeline as clock
+    from mocap import timeline
+    from mocap.formats import native
     from mocap.skeleton import Skeleton
     from poser import comparison
     from poser.commands.solve import cut_window
@@ -190,7 +191,8 @@ def _jobs(args: Namespace) -> list[Job]:
         if not isinstance(truth, str | None):
             source = Path(args.reference)
             with files.about(source):
-                truth = clock.placed(source, truth, recording, window, first)
+                timed = native.states_start(source)
+                truth = timeline.placed(truth, timed, recording, window, first)
         if truth is None and recording.reference is None:
             raise PoserError(
                 f"{path}: holds no reference motion; give --reference MOTION, or sip-all for SIP on all "

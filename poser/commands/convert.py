@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mocap.errors import FormatError
-from poser import files, options, references
+from poser import files, options
 from poser.console import DONE, UsageError, note, progress, say
 
 if TYPE_CHECKING:
@@ -76,12 +76,19 @@ def _output(args: Namespace) -> Path:
 
 def _with_reference(args: Namespace, recording: Recording) -> Recording:
     """The recording with the motion of --reference in it."""
-    from mocap.formats import Options
+    from mocap.evaluation import references
+    from mocap.evaluation.words import sentence
+    from mocap.formats import Options, native
 
     # What is said of sensors' files, rate and names among it, is not said of the motion.
     body = Options(height=args.height, scale=args.scale, smpl=args.smpl)
     motion = files.motion(args.reference, body)
-    return references.with_reference(args.input, recording, args.reference, motion)
+    timed = native.states_start(args.reference)
+    with files.about(args.input):
+        made, found = references.with_reference(recording, motion, timed, str(args.reference))
+    for finding in found:
+        note(f"{args.input}: {sentence(finding, str(args.reference))}")
+    return made
 
 
 def _check_rate(args: Namespace, doc: Document) -> None:

@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mocap import timeline as clock
+from mocap import timeline
 from mocap.errors import FormatError
-from poser import files, options, references
+from poser import files, options
 from poser.console import DONE, emit, note, table
 
 if TYPE_CHECKING:
@@ -100,7 +100,7 @@ class _Answer:
 
 
 def _evaluate(args: Namespace) -> _Answer:
-    from mocap.evaluation import metrics
+    from mocap.evaluation import metrics, references
     from mocap.formats import Options, native
     from mocap.skeleton import Skeleton
 
@@ -115,8 +115,9 @@ def _evaluate(args: Namespace) -> _Answer:
             available = None if recording is None else recording.sensors
             seen = options.sensors(args.sensors, available)
     if reference is not None and recording is not None and not timed:
-        references.same_time(args.recording, recording, reference, _PART)
-        # Frame for frame the recording's, so on its clock.
+        with files.about(args.recording):
+            references.same_time(recording, reference, _PART)
+        # Frame for frame the recording's, so on its timeline.
         reference, timed = replace(reference, start_s=recording.start_s), True
     stated: dict[Path, Motion | Recording] = {}
     if native.states_start(args.motion):
@@ -127,9 +128,9 @@ def _evaluate(args: Namespace) -> _Answer:
         stated[args.recording or args.reference] = recording
     when = _shared(stated)
     if when is not None:
-        motion = clock.cut(motion, *when) if args.motion in stated else motion
-        reference = reference and clock.cut(reference, *when)
-        recording = recording and clock.cut(recording, *when)
+        motion = timeline.cut(motion, *when) if args.motion in stated else motion
+        reference = reference and timeline.cut(reference, *when)
+        recording = recording and timeline.cut(recording, *when)
     if recording is not None and whole is not None:
         files.note_gaps(args.recording, recording, whole)
     smpl = Skeleton.from_smpl_file(args.smpl) if args.smpl else None
@@ -153,10 +154,10 @@ def _shared(stated: Mapping[Path, Motion | Recording]) -> tuple[float, float] | 
     says where one covers more than a frame more."""
     if len(stated) < 2:
         return None
-    begin, end = clock.shared(stated)
+    begin, end = timeline.shared(stated)
     for path, x in stated.items():
         if x.seconds > end - begin + (1 + 1e-6) / x.rate_hz:
-            note(f"{path}: of its {clock.words(x)}, {begin:.2f} to {end:.2f} s are compared")
+            note(f"{path}: of its {timeline.words(x)}, {begin:.2f} to {end:.2f} s are compared")
     return begin, end
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mocap.errors import PoserError
-from poser import files, options, starts
+from poser import files, named_starts, options
 from poser.console import DONE, UsageError, emit, note, progress, say, table
 
 if TYPE_CHECKING:
@@ -67,14 +67,14 @@ def run(args: Namespace) -> int:
         raise UsageError("argument --betas: needs the body file they shape: --smpl FILE")
     if args.smpl and args.height:
         raise UsageError("argument --height: not with --smpl, whose betas give the size")
-    names = starts.names(args.start)
+    names = named_starts.names(args.start)
     if len(names) > 1 and args.self_calibrate:
         raise UsageError(
             "argument --start: one only with --self-calibrate, where costs do not compare"
         )
-    given = [Path(name) for name in names if name not in starts.KNOWN]
+    given = [Path(name) for name in names if name not in named_starts.KNOWN]
     for path in given:
-        files.check_there(path, "--start", starts.KNOWN)
+        files.check_there(path, "--start", named_starts.KNOWN)
     files.check_output(args.output, [args.recording, *given], (".npz", ".bvh"))
     if args.plot:
         files.check_output(args.plot, [args.recording, args.output], (".png",))
@@ -87,7 +87,8 @@ def run(args: Namespace) -> int:
     files.note_gaps(args.recording, recording, whole)
     body = _body(args)
     begin = {
-        name: starts.motion(name, args.recording, whole, recording, first, body) for name in names
+        name: named_starts.motion(name, args.recording, whole, recording, first, body)
+        for name in names
     }
     solution = _solve(args, recording, body, begin)
     extra = (

@@ -9,8 +9,9 @@ from typing import Any
 
 from mocap.sensors import PLACES
 from poser.console import say, table
+from poser.live.heard import Heard
 from poser.live.packets import Packet
-from poser.live.sources.protocol import MAX_DEVICES, Heard, Intake
+from poser.live.sources.protocol import MAX_DEVICES, Intake
 
 SECONDS = 5.0
 LOOK_S = 0.05

@@ -8,15 +8,13 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mocap import orientation as ori
 from mocap.errors import PoserError
 from poser.live.addresses import Address, resolved
+from poser.live.heard import Heard
 from poser.live.packets import MAX_DATAGRAM, Packet, Rejected
-
-if TYPE_CHECKING:
-    from poser.live.sources.protocol import Heard
 
 RECEIVE_BYTES = 4 << 20  # asked for: some seconds of a suit at 100 Hz
 # A flood must not keep rows from leaving: a look at the socket ends after POLL_S, and after a stop of the

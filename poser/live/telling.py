@@ -68,12 +68,14 @@ class Teller:
         """Once the pose was found: what the calibration rests on, and what is doubtful about it."""
         if self._checked or source.calibration is None:
             return
+        from mocap.calibration import words
+
         self._checked = True
         found = source.calibration
         self._complain(f"calibrated; where you face: {found.method}")
         for finding in found.diagnostics:
             if finding.severity != "info":
-                self._complain(f"{finding.severity}: {finding.sentence}")
+                self._complain(f"{finding.severity}: {words.sentence(finding)}")
 
     def _lead(self, source: Network) -> None:
         """Where no line counts the seconds down: a sentence for each thing that the wearer is to do, behind

@@ -10,7 +10,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from poser.report import player
+from poser.report import film
 from poser.report.results import Compared, rows
 
 _STYLE = """
@@ -67,7 +67,7 @@ runs slower than the recording is not run in all of them); <em>latency</em>: fra
 pose and nearest pose need no skill: a method has to beat both clearly.</p>
 {_failures(failures)}
 <h2>Side by side</h2>
-{player.section(recordings)}
+{film.section(recordings)}
 {figures}
 {_each(recordings)}
 <h2>What was run on what</h2>

@@ -19,7 +19,7 @@ from mocap.motion import Motion
 from mocap.synthesis import motions, staging
 from poser import comparison, estimators
 from poser.__main__ import main
-from poser.report import player, results
+from poser.report import film, results
 
 FAST = ("--solver", "banded", "--methods", "sop,sip")
 
@@ -279,7 +279,7 @@ def test_player_holds_the_joints_to_the_millimetre() -> None:
 
     truth = short("walk").slice(0, 60)
     result = results.Result(truth, metrics.evaluate(truth, truth))
-    text = player.section([results.Compared("</script>", "y", {"sip": result}, truth)])
+    text = film.section([results.Compared("</script>", "y", {"sip": result}, truth)])
     found = re.search(r'id="player-data">(.*?)</script>', text, flags=re.S)
     assert found is not None
     data = json.loads(found.group(1))

@@ -229,8 +229,9 @@ def test_the_projects_own_clips(
 ) -> None:
     """Without MOTION: CMU alone unless --collections says more, validated on those collections' clips."""
     monkeypatch.setenv("POSER_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("POSER_SHARED", str(tmp_path / "shared"))
     words = ["train", "dip", *SMALL, "--steps", "2"]
-    assert "holds no .bvh file" in refusal(*words, "-o", tmp_path / "none")[1]
+    assert "unpack CMU's mocap there" in refusal(*words, "-o", tmp_path / "none")[1]
     for folder, names in (
         ("cmu-daz-bvh", ("02_01", "06_01", "07_01", "08_01")),
         ("bandai2-bvh", ("a", "b", "c")),
@@ -304,6 +305,7 @@ def test_licence_and_credit_of_the_start_are_kept(
     assert checkpoint.describe(second)["started_from"] == "strict.safetensors"
     # The project's own clips after that: nothing is lost, nothing said twice, the stricter one wins.
     monkeypatch.setenv("POSER_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("POSER_SHARED", str(tmp_path / "shared"))
     (tmp_path / "cache" / "cmu-daz-bvh").mkdir(parents=True)
     for name in ("06_01", "07_01"):
         write_bvh(tmp_path / "cache" / "cmu-daz-bvh" / f"{name}.bvh", motions.squat(2.0))
@@ -448,7 +450,7 @@ def test_two_processes_train_one_network(clips: Path, tmp_path: Path, network: l
     words = ["train", "dip", str(clips), "-o", folder, *network, "--steps", "4", "--json"]
     code = (
         "import sys\n"
-        "from learned import train\n"
+        "from learned.training import trainer as train\n"
         "train._SCALER_BATCHES = 1\n"
         "run = train.Trainer.run\n"
         "def told(self, progress=None):\n"

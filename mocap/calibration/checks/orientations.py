@@ -8,12 +8,14 @@ for sensors that hardly turn, of which nothing is said.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
 from mocap import orientation as ori
-from mocap.calibration.checks.axes import from_up, relative
-from mocap.calibration.checks.units import TURNING, turning
+from mocap.calibration.axes import from_up, relative
+from mocap.calibration.evidence import Evidence
+from mocap.calibration.measures import TURNING, turning
 from mocap.findings import Finding
 from mocap.orientation import Array
 from mocap.recording import Bool
@@ -38,34 +40,57 @@ def _rolled(R: Array, by: int) -> Array:
     return out
 
 
-Mend = Callable[[Array], Array]
-MENDS: tuple[tuple[str, str, Mend], ...] = (
-    (
-        "orientation-transposed",
-        "orientation is given as sensor-from-world (transposed), world-from-sensor is expected",
-        _transposed,
-    ),
-    (
-        "quaternion-order",
-        "quaternions look like x, y, z, w where w, x, y, z was taken for granted",
-        lambda R: _rolled(R, 1),
-    ),
-    (
-        "quaternion-order",
-        "quaternions look like w, x, y, z that were taken for x, y, z, w",
-        lambda R: _rolled(R, -1),
-    ),
-)
-_WORLD = (
-    "orientation-world",
-    "orientation is given in another world, its up is {} here and must be y (--units y-up or z-up tells "
-    "readers of text files)",
+@dataclass(frozen=True)
+class Reading:
+    """How an orientation may have been written: a mistake, and the world that is up in it (None: ours)."""
+
+    code: str
+    mistake: str
+    up: str | None = None
+
+
+MENDS: tuple[tuple[Reading, Callable[[Array], Array]], ...] = (
+    (Reading("orientation-transposed", "transposed"), _transposed),
+    (Reading("quaternion-order", "wxyz-taken"), lambda R: _rolled(R, 1)),
+    (Reading("quaternion-order", "xyzw-taken"), lambda R: _rolled(R, -1)),
 )
 
 
-def check_orientation(
-    name: str, gyr: Array, acc: Array, R: Array, has: Bool, rate_hz: float
-) -> Finding | None:
+@dataclass(frozen=True)
+class Wrong:
+    """What explains a sensor's data better than the orientation given: up_deg, acc's mean distance from
+    upright, rate_off, gyr's relative one from the rate, both as given."""
+
+    reading: Reading
+    up_deg: float
+    rate_off: float
+
+
+def check(evidence: Evidence) -> list[Finding]:
+    """An error for each sensor whose orientation was written or read in another way.
+
+    By the likely rate and scale of gyr (`Evidence.rates`).
+    """
+    found = []
+    R_all, rates = evidence.raw.R_world_sensor, evidence.rates
+    if R_all is None:
+        return []
+    for k, (s, name) in enumerate(evidence.each):
+        gyr, acc, ok = evidence.channels(s)
+        has = ok & np.isfinite(R_all[:, s]).all((-1, -2))
+        wrong = explained(gyr * rates.factor[k], acc, R_all[:, s], has, rates.rate_hz)
+        if wrong is not None:
+            details = {
+                "up_deg": wrong.up_deg,
+                "rate_off": wrong.rate_off,
+                "mistake": wrong.reading.mistake,
+                "up": wrong.reading.up,
+            }
+            found.append(Finding("error", name, wrong.reading.code, wrong.up_deg, details))
+    return found
+
+
+def explained(gyr: Array, acc: Array, R: Array, has: Bool, rate_hz: float) -> Wrong | None:
     """What explains gyr and acc (T,3) if R (T,3,3) of one sensor does not; None if it does or nothing is.
 
     Files whose world is z-up were turned into ours, before or instead of what mends them.
@@ -73,25 +98,21 @@ def check_orientation(
     given = _score(gyr, acc, R, has, rate_hz)
     if given is None or (given[0] < WELL_UP and given[1] < WELL_RATE):
         return None
-    tried: list[tuple[float, str, str]] = []
+    tried: list[tuple[float, Reading]] = []
     zup = ori.R_YUP_ZUP
-    for code, text, mend in MENDS:
+    for reading, mend in MENDS:
         for before in (np.eye(3), zup.T):
             mended = mend(before @ R)
             for after in (np.eye(3), zup):
-                tried += _tried(code, text, given, _score(gyr, acc, after @ mended, has, rate_hz))
+                tried += _tried(reading, given, _score(gyr, acc, after @ mended, has, rate_hz))
     for axis, world in (("z", zup), ("-z", zup.T)):
-        told = _WORLD[1].format(axis)
-        tried += _tried(_WORLD[0], told, given, _score(gyr, acc, world @ R, has, rate_hz))
+        reading = Reading("orientation-world", "world", axis)
+        tried += _tried(reading, given, _score(gyr, acc, world @ R, has, rate_hz))
     if not tried:
         return None
-    _, code, text = min(tried)
+    reading = min(tried, key=lambda score: score[0])[1]
     up = float(np.degrees(2 * np.arcsin(min(1.0, np.sqrt(given[0]) / 2))))
-    head = (
-        f"sensor {name}: turned by its orientation, acc is {up:.0f} deg from upright in the mean, and gyr "
-        f"is {np.sqrt(given[1]):.0%} off the rate of it: "
-    )
-    return Finding("error", name, code, head + text, up)
+    return Wrong(reading, up, float(np.sqrt(given[1])))
 
 
 def _score(
@@ -109,9 +130,9 @@ def _score(
 
 
 def _tried(
-    code: str, text: str, given: tuple[float, float], score: tuple[float, float] | None
-) -> list[tuple[float, str, str]]:
+    reading: Reading, given: tuple[float, float], score: tuple[float, float] | None
+) -> list[tuple[float, Reading]]:
     """The reading with the sum of its score, if that explains what `given` does not."""
     if score is None or score[0] > UP or score[1] > RATE or sum(given) < GAIN * sum(score):
         return []
-    return [(sum(score), code, text)]
+    return [(sum(score), reading)]

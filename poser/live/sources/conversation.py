@@ -14,9 +14,9 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Protocol
 
 from poser.live.addresses import Address
+from poser.live.heard import Heard
 from poser.live.packets import MAX_DATAGRAM, Packet, Rejected
 from poser.live.receiver import Clock, Receiver
-from poser.live.sources.protocol import Heard
 
 TIMESTAMPS = 35  # SO_TIMESTAMPNS of Linux, which the standard library does not name
 TIMESPEC = struct.Struct("@ll")

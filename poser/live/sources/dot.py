@@ -22,8 +22,9 @@ import numpy as np
 
 from mocap import orientation as ori
 from mocap.errors import PoserError
+from poser.live.heard import Heard
 from poser.live.packets import MAX_ACC, SEQUENCE_MODULUS, Packet, Rejected, number, rotation
-from poser.live.sources.protocol import MAX_DEVICES, Heard, Intake, Kind, Told
+from poser.live.sources.protocol import MAX_DEVICES, Intake, Kind, Told
 from poser.live.sources.threads import Letter, Mailbox, Threaded
 
 CONTROL, PAYLOAD, BATTERY = (

@@ -25,9 +25,10 @@ import numpy as np
 
 from mocap.orientation import Array
 from poser.live.addresses import Address
+from poser.live.heard import Heard
 from poser.live.packets import MAX_ACC, MAX_TIME_S, Packet, Rejected, number, rotation
 from poser.live.sources.phone import Phone
-from poser.live.sources.protocol import Heard, Intake, Kind, Told
+from poser.live.sources.protocol import Intake, Kind, Told
 from poser.live.sources.threads import Letter, Mailbox, Threaded
 
 PORT = 8080

@@ -11,9 +11,10 @@ import numpy as np
 from mocap import orientation as ori
 from mocap.errors import PoserError
 from mocap.recording import Bool, RawRecording
+from poser.live.heard import Heard
 from poser.live.packets import SEQUENCE_MODULUS, Packet
 from poser.live.receiver import Clock
-from poser.live.sources.protocol import Heard, Intake, Kind, Told
+from poser.live.sources.protocol import Intake, Kind, Told
 
 UP_G = np.array([0.0, ori.GRAVITY, 0.0])
 

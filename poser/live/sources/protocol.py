@@ -11,32 +11,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 from poser.live.addresses import Address
+from poser.live.heard import Heard
 from poser.live.packets import Packet
 from poser.live.receiver import Clock
 
 MAX_DEVICES = 32  # of one kind: their names are chosen by whoever sends
-
-
-@dataclass
-class Heard:
-    """What one device told of itself. battery: 0 to 1. lost: packets, where they are numbered; ping_ms: half
-    the way there and back. note: what its user should know, in words."""
-
-    battery: float | None = None
-    lost: int | None = None
-    ping_ms: float | None = None
-    note: str = ""
-
-    def to_dict(self) -> dict[str, Any]:
-        return {
-            "battery": self.battery,
-            "lost": self.lost,
-            "ping_ms": self.ping_ms,
-            "note": self.note,
-        }
 
 
 class Intake(Protocol):

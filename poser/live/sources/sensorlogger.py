@@ -23,9 +23,10 @@ import numpy as np
 
 from mocap import orientation as ori
 from mocap.orientation import Array
+from poser.live.heard import Heard
 from poser.live.packets import MAX_ACC, MAX_NAME, Packet, Rejected, number, rotation
 from poser.live.sources.phone import Phone
-from poser.live.sources.protocol import MAX_DEVICES, Heard, Intake, Kind, Told
+from poser.live.sources.protocol import MAX_DEVICES, Intake, Kind, Told
 from poser.live.sources.pushed import PushServer
 from poser.live.sources.threads import Letter, Threaded
 

@@ -22,6 +22,7 @@ import numpy as np
 
 from mocap import orientation as ori
 from mocap.orientation import Array
+from poser.live.heard import Heard
 from poser.live.packets import (
     MAX_ACC,
     MAX_DATAGRAM,
@@ -33,7 +34,7 @@ from poser.live.packets import (
     rotation,
 )
 from poser.live.sources.conversation import Conversation, Letter, Sender, numeric
-from poser.live.sources.protocol import MAX_DEVICES, Heard, Intake, Kind, Told
+from poser.live.sources.protocol import MAX_DEVICES, Intake, Kind, Told
 
 PORT = 6969
 HEARTBEAT, HANDSHAKE, ACCELERATION, PING, BATTERY, INFO = 0, 3, 4, 10, 12, 15

@@ -12,9 +12,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
+from poser.live.heard import Heard
 from poser.live.packets import Packet, Rejected
 from poser.live.receiver import CATCH_UP, POLL_S, Clock
-from poser.live.sources.protocol import Heard
 
 LENGTH = 256  # letters that wait: seconds of batches
 

@@ -5,18 +5,18 @@ from __future__ import annotations
 import hashlib
 import os
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from learned.training import corpus
-from learned.training.corpus import FLIP_RAD, Corpus, frames, key_of, pack, prepared, read
+from learned.training.corpus import Corpus, frames, key_of, pack, prepared, read
 from mocap import formats
 from mocap import orientation as ori
 from mocap.errors import PoserError
 from mocap.formats.amass import write_motion
-from mocap.motion import Motion
 from mocap.seats import second_difference
 from tests.learned.swing import wavy
 
@@ -52,12 +52,24 @@ def test_pack_keeps_the_motion() -> None:
     assert c.seconds == pytest.approx(85 / 60)
 
 
-def test_flipped_frames_are_marked() -> None:
-    R = np.array(wavy(30).R_parent_joint)
-    R[12, 15] = ori.rot_y(1.1 * FLIP_RAD)
-    motion = wavy(30)
-    c = pack([("a", Motion(60.0, R, motion.p_world_root, motion.skeleton))])
-    assert np.flatnonzero(~c.sound).tolist() == [12]
+def test_frames_that_are_not_trusted_do_not_train() -> None:
+    trusted = np.arange(30) != 12
+    c = pack([("a", wavy(30)), ("b", replace(wavy(30), trusted=trusted))])
+    assert np.flatnonzero(~c.sound).tolist() == [42]
+
+
+def test_a_file_with_a_flip_is_mended_before_the_low_pass(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("POSER_CACHE", str(tmp_path / "cache"))
+    clean, R = wavy(240, rate_hz=120.0), np.array(wavy(240, rate_hz=120.0).R_parent_joint)
+    R[100:108, 20] = R[100:108, 20] @ ori.rot_z(np.pi)
+    write_motion(tmp_path / "clean.npz", clean)
+    write_motion(tmp_path / "flip.npz", replace(clean, R_parent_joint=R))
+    want, found = (read([tmp_path / f"{n}.npz"]) for n in ("clean", "flip"))
+    assert np.abs(found.q - want.q).max() < 0.02 and found.sound.all()
+    frames, untrusted, mended = corpus.counts(tmp_path / "flip.npz")
+    assert frames == len(want.q) and untrusted == 0 and 4 <= mended <= 8
 
 
 def test_subsets_are_nested_and_join_weighs_by_shares() -> None:
@@ -140,7 +152,7 @@ def test_keys_do_not_change_from_version_to_version(
     path = tmp_path / "a.npz"
     path.write_bytes(b"12345")
     os.utime(path, ns=(7, 7))
-    want = hashlib.sha256(f"4{path.resolve()}|5|7\n".encode()).hexdigest()[:16]
+    want = hashlib.sha256(f"5{path.resolve()}|5|7\n".encode()).hexdigest()[:16]
     assert key_of([path]) == want
 
 

@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 
 from mocap import sensors as places
-from mocap.calibration import PoseName, calibrate
-from mocap.calibration.checks.arms import check_pose_name
-from mocap.calibration.diagnostics import diagnose
-from mocap.calibration.static_pose import average, find_static
+from mocap.calibration import PoseName, calibrate, diagnose, sentence
+from mocap.calibration.checks import pose_name
 from mocap.errors import CalibrationError
 from mocap.findings import Finding
 from mocap.motion import Motion
@@ -19,7 +17,7 @@ from mocap.recording import RawRecording
 from mocap.synthesis import motions
 from mocap.synthesis.motions import builtin
 from mocap.synthesis.staging import with_static_pose
-from tests.mocap.calibration.people import clip, worn
+from tests.mocap.calibration.people import clip, posed, worn
 
 CODE = "other-pose"
 OTHER: dict[str, PoseName] = {"n": "t", "t": "n"}
@@ -31,11 +29,7 @@ def after(pose: str, motion: Motion | None = None) -> Motion:
 
 
 def said(raw: RawRecording, pose: str, sigma: float = 0.1, facing: float = 0.5) -> list[Finding]:
-    window = find_static(raw, 1.5)
-    S = len(raw.sensors)
-    return check_pose_name(
-        raw, window, average(raw, window), np.full(S, facing), np.full(S, sigma), pose
-    )
+    return pose_name.check(posed(raw, pose, facing=facing, sigma=sigma))
 
 
 @pytest.mark.parametrize("sensors", [places.SIX, places.SUIT], ids=len)
@@ -45,7 +39,7 @@ def test_the_other_pose_is_told(pose: str, noise: str, sensors: tuple[str, ...])
     raw = worn(after(pose), sensors, noise)
     assert said(raw, pose) == []
     (finding,) = said(raw, OTHER[pose])
-    assert finding.code == CODE and f"(--pose {pose})" in finding.sentence
+    assert finding.code == CODE and f"(--pose {pose})" in sentence(finding)
     if pose == "t":
         assert finding.value == pytest.approx(80, abs=12)
 
@@ -91,14 +85,6 @@ def test_the_right_pose_before_other_motion(pose: str, what: str) -> None:
 def test_other_people_in_the_right_pose(pose: str, name: str) -> None:
     """Dancers hold their arms out for most of the time, and some raise them turned outward."""
     raw = worn(clip(name, pose), places.SUIT, "realistic")
-    window = find_static(raw, 1.5)
     facing = float(-calibrate(raw, pose, at=1.5, strict=False)[1].heading[0])  # type: ignore[arg-type]
     for sensors in (places.SIX, places.SUIT):
-        few = raw.select(sensors)
-        S = len(sensors)
-        assert (
-            check_pose_name(
-                few, window, average(few, window), np.full(S, facing), np.full(S, 0.1), pose
-            )
-            == []
-        )
+        assert said(raw.select(sensors), pose, facing=facing) == []

@@ -11,9 +11,8 @@ import pytest
 
 from mocap import orientation as ori
 from mocap import sensors as places
-from mocap.calibration import calibrate
-from mocap.calibration.checks.single import check_sensors
-from mocap.calibration.diagnostics import diagnose, summary
+from mocap.calibration import calibrate, diagnose, sentence, summary
+from mocap.calibration.checks import check_sensors
 from mocap.calibration.facing import wrap
 from mocap.errors import CalibrationError
 from mocap.findings import Finding
@@ -86,7 +85,7 @@ def test_swapped_pair(kind: str, noise: str, request: pytest.FixtureRequest) -> 
     pair = {f"left_{kind}": f"right_{kind}", f"right_{kind}": f"left_{kind}"}
     findings = diagnose(raw.renamed(pair))
     assert found(findings) == {(f"left_{kind}", "swapped"), (f"right_{kind}", "swapped")}
-    assert f"left_{kind} and right_{kind}" in findings[0].sentence
+    assert f"left_{kind} and right_{kind}" in sentence(findings[0])
 
 
 def test_swapped_upper_arms_rise_on_the_wrong_side(clean: RawRecording) -> None:
@@ -104,10 +103,10 @@ def test_flipped_axes(clean: RawRecording, sensor: str, with_R: bool) -> None:
     findings = diagnose(edited(raw, sensor, gyr=flip(1)))
     assert (sensor, "gyr-axes") in found(findings)
     assert {f.sensor for f in findings} == {sensor}
-    assert "axis y of gyr is reversed" in findings[0].sentence
+    assert "axis y of gyr is reversed" in sentence(findings[0])
     findings = diagnose(edited(raw, sensor, acc=flip(0)))
     assert (sensor, "acc-axes") in found(findings)
-    assert "axis x of acc is reversed" in findings[0].sentence
+    assert "axis x of acc is reversed" in sentence(findings[0])
 
 
 @pytest.mark.parametrize("sensor", ["left_forearm", "right_forearm", "left_shank", "head"])
@@ -119,7 +118,7 @@ def test_flipped_axes_of_a_short_recording_of_six(
     assert not [f for f in diagnose(short) if f.code.endswith("axes")]
     findings = diagnose(edited(short, sensor, acc=flip(axis)))
     assert found(findings) & {(sensor, "acc-axes")}
-    assert f"axis {'xyz'[axis]} of acc is reversed" in findings[0].sentence
+    assert f"axis {'xyz'[axis]} of acc is reversed" in sentence(findings[0])
 
 
 # What the programme hides: a head that hardly tilts sideways, a clean pelvis that does not at all, never see
@@ -142,7 +141,7 @@ def test_flipped_axes_from_gyr_and_acc_alone(sensor: str, axis: int, noise: str)
     if (noise, sensor) == ("none", "pelvis"):
         return  # its sideways axis is never seen, so one axis of gyr explains the same
     others = " and ".join(a for a in "xyz" if a != "xyz"[axis])
-    assert f"axis {'xyz'[axis]} of acc is reversed (or {others} of gyr)" in findings[0].sentence
+    assert f"axis {'xyz'[axis]} of acc is reversed (or {others} of gyr)" in sentence(findings[0])
 
 
 RESTLESS: dict[str, Callable[[], Motion]] = {
@@ -163,7 +162,7 @@ def test_right_axes_and_units_raise_no_alarm(what: str, pose: str, names: tuple[
         raw = make(motion, noise, seed, names)
         for seen in (raw, replace(raw, R_world_sensor=None)):
             wrong = [f for f in check_sensors(seen) if f.code != "acc-gravity"]
-            assert wrong == [], (noise, seed, [f.sentence for f in wrong])
+            assert wrong == [], (noise, seed, [sentence(f) for f in wrong])
 
 
 @pytest.mark.parametrize("seconds", [15.0, 25.0])
@@ -177,7 +176,7 @@ def test_no_piece_of_the_real_recording_has_wrong_axes_or_units(
         piece = whole.slice(a, a + n)
         for seen in (piece, replace(piece, R_world_sensor=None, mag=None)):
             wrong = [f for f in check_sensors(seen) if f.code not in ("acc-gravity", "clipping")]
-            assert wrong == [], (a, [f.sentence for f in wrong])
+            assert wrong == [], (a, [sentence(f) for f in wrong])
 
 
 @pytest.mark.parametrize("rate", [30.0, 100.0, 200.0])
@@ -186,7 +185,7 @@ def test_flipped_axes_at_other_rates(rate: float) -> None:
     raw = replace(raw, R_world_sensor=None)
     assert not [f for f in diagnose(raw) if f.code.endswith("axes")]
     findings = diagnose(edited(raw, "left_shank", acc=flip(1)))
-    assert "axis y of acc is reversed" in findings[0].sentence
+    assert "axis y of acc is reversed" in sentence(findings[0])
 
 
 def swapped(raw: RawRecording) -> set[str | None]:
@@ -229,7 +228,7 @@ def test_exchanged_axes(clean: RawRecording) -> None:
     raw = clean.select(("pelvis", "left_forearm"))
     raw = edited(raw, "left_forearm", gyr=lambda x: x[:, [1, 0, 2]])
     (finding,) = (f for f in diagnose(raw) if f.severity == "error")
-    assert finding.code == "gyr-axes" and "y, x, z" in finding.sentence
+    assert finding.code == "gyr-axes" and "y, x, z" in sentence(finding)
 
 
 @pytest.mark.parametrize("noise", ["clean", "noisy"])

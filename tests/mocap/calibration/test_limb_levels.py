@@ -7,7 +7,9 @@ from dataclasses import replace
 import pytest
 
 from mocap import sensors as places
-from mocap.calibration import calibrate, limb_levels
+from mocap.calibration import calibrate, sentence
+from mocap.calibration.checks import levels
+from mocap.calibration.evidence import gather
 from mocap.recording import RawRecording
 from mocap.synthesis.motions import builtin
 from tests.mocap.calibration.people import clip, worn
@@ -20,9 +22,8 @@ TWO_EACH = tuple(
 
 def named(raw: RawRecording) -> list[set[str | None]]:
     """Sensors of each finding of the levels."""
-    joints, _ = places.joints_and_seats(raw.sensors)
-    found = limb_levels.check_swapped(raw, joints, raw.R_world_sensor)
-    return [{f.sensor for f in found if f.sentence == text} for text in {f.sentence for f in found}]
+    found = levels.check(gather(raw))
+    return [{f.sensor for f in found if sentence(f) == text} for text in set(map(sentence, found))]
 
 
 def exchanged(raw: RawRecording, a: str, b: str) -> RawRecording:

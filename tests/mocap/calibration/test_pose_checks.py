@@ -10,16 +10,16 @@ import pytest
 
 from mocap import orientation as ori
 from mocap import sensors as places
-from mocap.calibration import calibrate
-from mocap.calibration.checks import poses as pose_checks
-from mocap.calibration.static_pose import average, find_static
+from mocap.calibration import calibrate, sentence
+from mocap.calibration.checks import movement, posture
+from mocap.calibration.static_pose import find_static
 from mocap.formats import Options, qmt
 from mocap.motion import Motion
 from mocap.recording import RawRecording
 from mocap.synthesis import NOISES, raw_recording
 from mocap.synthesis.motions import builtin, walk
 from mocap.synthesis.staging import with_static_pose
-from tests.mocap.calibration.people import clip, worn
+from tests.mocap.calibration.people import clip, posed, worn
 
 SEAT = {0: -20.0, 1: -65.0, 2: -65.0, 4: 80.0, 5: 80.0}  # deg about left, in the parent's frame
 
@@ -67,7 +67,7 @@ def test_a_real_seat_is_no_pose(
     raw = real.select(names) if names else real
     _, cal = calibrate(raw, at=65.0, orientation=orientation, strict=False)
     (said,) = [f for f in cal.diagnostics if f.code == "pose-posture"]
-    assert "probably sat" in said.sentence and "(--at 42.5)" in said.sentence
+    assert "probably sat" in sentence(said) and "(--at 42.5)" in sentence(said)
     assert said.severity == "warning"
     assert "swapped" not in {f.code for f in cal.diagnostics}
     found = find_static(raw)
@@ -87,7 +87,7 @@ def test_thighs_tell_a_seat_without_any_stance(noise: str) -> None:
         raw = worn(sitting(walk(15.0)), places.SUIT, noise, seed)
         _, cal = calibrate(raw, at=2.0, strict=False)
         (said,) = [f for f in cal.diagnostics if f.code == "pose-posture"]
-        assert "knees would bend forward" in said.sentence and said.value > 45
+        assert "knees would bend forward" in sentence(said) and said.value > 45
 
 
 @pytest.mark.parametrize("noise", ["none", "realistic"])
@@ -106,9 +106,7 @@ def test_low_dances_and_lunges_after_a_stance_are_no_seat(name: str) -> None:
     """Their thighs are 50 to 60 deg, or their pelvis 30 deg, from the N-pose while the legs are in use."""
     for names in (places.SIX, places.SUIT, places.FIVE):
         raw = worn(clip(name), names, "realistic", 1)
-        window = find_static(raw, 1.5)
-        pose = average(raw, window)
-        assert pose_checks.check_posture(raw, window, pose, np.zeros(len(names))) == []
+        assert posture.check(posed(raw)) == []
 
 
 @pytest.mark.parametrize("way", ["tilt", "heading"])
@@ -121,23 +119,22 @@ def test_an_orientation_that_jumps_in_the_pose(way: str, noise: str) -> None:
     first = find_static(raw, 2.0)
     for at in np.linspace(first.start + 2, first.stop - 3, 9).astype(int):
         seen = jumping(raw, 3, int(at), Q, way == "heading")
-        window = find_static(seen, 2.0)
-        found = pose_checks.check_pose(seen, window, average(seen, window))
+        found = movement.check(posed(seen, at=2.0))
         assert [(f.sensor, f.code) for f in found] == [(raw.sensors[3], "moved-in-pose")], at
-        assert "jumps by 2" in found[0].sentence
+        assert "jumps by 2" in sentence(found[0])
 
 
 @pytest.mark.parametrize("share", [0.2, 0.35, 0.5, 0.65, 0.8])
 def test_a_turn_that_the_gyroscope_saw(share: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of 25 deg, not in the middle third only: the wobble around it does not excuse it."""
-    monkeypatch.setattr(pose_checks, "_jump", lambda raw, window, s: None)
+    monkeypatch.setattr(movement, "_jump", lambda raw, window, s: None)
     for seed in range(3):
         raw = worn(with_static_pose(walk(6.0), "n", 4.0), places.SIX, "realistic", seed)
         window = find_static(raw, 2.0)
         at = window.start + int(share * (window.stop - window.start))
         Q = ori.exp(np.array([np.radians(25.0), 0, 0]))
         seen = jumping(raw, 3, at, Q, False)
-        found = pose_checks.check_pose(seen, window, average(seen, window))
+        found = movement.check(posed(seen, at=2.0))
         assert {f.sensor for f in found} == {raw.sensors[3]}
 
 
@@ -146,8 +143,7 @@ def test_wobble_is_no_movement(rate_hz: float) -> None:
     motion = with_static_pose(builtin(rate_hz, 12.0), "n", 3.0)
     for seed in range(6):
         raw = worn(motion, places.SUIT, "realistic", seed)
-        window = find_static(raw, 1.5)
-        assert pose_checks.check_pose(raw, window, average(raw, window)) == []
+        assert movement.check(posed(raw)) == []
 
 
 @pytest.mark.parametrize("rate_hz", [1.0, 2.0, 3.0, 5.0, 8.0])

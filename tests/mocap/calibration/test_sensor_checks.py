@@ -10,12 +10,13 @@ import pytest
 
 from mocap import orientation as ori
 from mocap import sensors as places
-from mocap.calibration import calibrate
-from mocap.calibration.checks.channels import check_channels, without_spikes
-from mocap.calibration.checks.orientations import check_orientation
-from mocap.calibration.checks.rates import check_rates
-from mocap.calibration.checks.single import check_sensors
-from mocap.calibration.checks.units import constant_force, rate_ratio, usual_force
+from mocap.calibration import calibrate, sentence
+from mocap.calibration.checks import check_sensors, copied, frozen, spikes
+from mocap.calibration.checks.orientations import explained
+from mocap.calibration.evidence import gather
+from mocap.calibration.measures import constant_force, rate_ratio, usual_force
+from mocap.calibration.spikes import without_spikes
+from mocap.findings import Finding
 from mocap.recording import RawRecording
 from mocap.synthesis import NOISES, raw_recording
 from mocap.synthesis.motions import builtin
@@ -33,6 +34,10 @@ def raw(request: pytest.FixtureRequest) -> RawRecording:
 
 def codes(raw: RawRecording) -> set[tuple[str | None, str]]:
     return {(f.sensor, f.code) for f in check_sensors(raw)}
+
+
+def check_channels(raw: RawRecording) -> list[Finding]:
+    return frozen.check(gather(raw)) + copied.check(gather(raw))
 
 
 def edited(
@@ -62,7 +67,7 @@ def test_right_data_has_no_dead_channel_and_the_right_rate(raw: RawRecording) ->
     """Noise-free limbs repeat their samples bit by bit while others move; that is no fault."""
     for seen in (raw, replace(raw, R_world_sensor=None)):
         assert codes(seen) == set()
-        assert check_rates(seen).rate_hz == raw.rate_hz
+        assert gather(seen).rates.rate_hz == raw.rate_hz
 
 
 def test_a_sensor_frozen_throughout(raw: RawRecording) -> None:
@@ -74,14 +79,14 @@ def test_a_sensor_frozen_throughout(raw: RawRecording) -> None:
     # In noise-free data the pelvis rests to the bit as well: only noise makes such rest a fault.
     rests = (raw.gyr[1:, 3] == raw.gyr[:-1, 3]).all(axis=-1).sum() > raw.rate_hz
     assert finding.severity == ("warning" if rests else "error")
-    assert "repeats one sample" in finding.sentence
+    assert "repeats one sample" in sentence(finding)
 
 
 def test_a_sensor_that_freezes_in_motion(raw: RawRecording) -> None:
     rate = np.linalg.norm(np.nan_to_num(raw.gyr[:, 0]), axis=1)
     at = int(np.argmax(np.convolve(rate, np.ones(90), "valid")))
-    frozen = replace(held(raw, 0, at, at + 90, at), valid=None)
-    (finding,) = [f for f in check_channels(frozen) if f.code == "frozen"]
+    dead = replace(held(raw, 0, at, at + 90, at), valid=None)
+    (finding,) = [f for f in check_channels(dead) if f.code == "frozen"]
     assert (finding.sensor, finding.severity) == (SENSORS[0], "error")
     assert finding.value == pytest.approx(1.5, abs=0.1)
 
@@ -107,7 +112,7 @@ def test_a_channel_copied_to_another(raw: RawRecording) -> None:
     gyr[:, 1], acc[:, 1] = gyr[:, 0], acc[:, 0]
     (finding,) = check_channels(replace(raw, gyr=gyr, acc=acc))
     assert (finding.sensor, finding.code) == (SENSORS[1], "copied")
-    assert SENSORS[0] in finding.sentence
+    assert SENSORS[0] in sentence(finding)
 
 
 @pytest.mark.parametrize("factor", [0.5, 1.2, 2.0])
@@ -116,13 +121,13 @@ def test_a_wrong_rate_is_named_by_the_orientation(raw: RawRecording, factor: flo
     (finding,) = [f for f in check_sensors(wrong) if f.severity == "error"]
     assert (finding.sensor, finding.code) == (None, "sampling-rate")
     assert finding.value == pytest.approx(60.0, rel=0.03)
-    assert "the sampling rate is probably" in finding.sentence
+    assert "the sampling rate is probably" in sentence(finding)
 
 
 def test_half_the_rate_is_named_without_orientation(raw: RawRecording) -> None:
     wrong = replace(raw, rate_hz=30.0, reference=None, R_world_sensor=None)
     assert (None, "sampling-rate") in codes(wrong)
-    assert check_rates(wrong).rate_hz == pytest.approx(60.0)
+    assert gather(wrong).rates.rate_hz == pytest.approx(60.0)
 
 
 @pytest.mark.parametrize(("factor", "severity"), [(1.5, "error"), (1.17, "warning")])
@@ -173,10 +178,10 @@ def test_orientation_written_the_wrong_way(
 
 def test_the_right_orientation_is_left_alone(raw: RawRecording) -> None:
     assert raw.R_world_sensor is not None
-    for s, name in enumerate(SENSORS):
+    for s in range(len(SENSORS)):
         ok = raw.valid[:, s]
         parts = (raw.gyr[:, s], np.nan_to_num(raw.acc[:, s]), raw.R_world_sensor[:, s])
-        assert check_orientation(name, *parts, ok, raw.rate_hz) is None
+        assert explained(*parts, ok, raw.rate_hz) is None
 
 
 def test_gravity_that_is_removed_is_not_taken_for_g(raw: RawRecording) -> None:
@@ -214,14 +219,15 @@ def test_a_sample_beyond_any_range_is_missing(
 ) -> None:
     seen = raw if with_R else replace(raw, R_world_sensor=None)
     bad = spiked(seen, what, value)
-    clean, (finding,) = without_spikes(bad)
+    clean, _ = without_spikes(bad)
+    (finding,) = spikes.check(gather(bad))
     (at,) = np.flatnonzero(seen.valid[:, 2] & ~clean.valid[:, 2])
     assert np.isnan(clean.acc[at, 2]).all() and np.isnan(clean.gyr[at, 2]).all()
     assert (finding.severity, finding.sensor) == ("warning", SENSORS[2])
     assert finding.code == "impossible-sample" and finding.value == value
     assert (
         f"1 sample beyond what sensors can measure, taken for missing; the first at {at / 60:.2f} s: {what}"
-        in finding.sentence
+        in sentence(finding)
     )
     # Nothing else is said because of it, and it is said once.
     assert codes(bad) == {(SENSORS[2], "impossible-sample")}
@@ -263,13 +269,13 @@ def test_a_quantity_without_samples_is_named(raw: RawRecording, what: str) -> No
     values[:, 1] = np.nan
     (finding,) = [f for f in check_sensors(replace(raw, **{what: values})) if f.severity == "error"]
     assert (finding.sensor, finding.code) == (SENSORS[1], "no-data")
-    assert f"no sample of {what}, both acc and gyr are needed" in finding.sentence
-    assert "--sensors" in finding.sentence
+    assert f"no sample of {what}, both acc and gyr are needed" in sentence(finding)
+    assert "--sensors" in sentence(finding)
 
 
 def test_too_few_samples_say_how_many_are_needed(raw: RawRecording) -> None:
     short = replace(raw, R_world_sensor=None, reference=None).slice(0, 50)
-    sentences = [f.sentence for f in check_sensors(short)]
+    sentences = [sentence(f) for f in check_sensors(short)]
     assert len(sentences) == 4
     assert all("valid samples, 60 (1 s) are needed" in s and "--sensors" in s for s in sentences)
 

@@ -10,13 +10,13 @@ import pytest
 from mocap import orientation as ori
 from mocap import sensors as places
 from mocap.calibration import limb_levels
-from mocap.calibration.checks import sides as side_checks
-from mocap.calibration.static_pose import average, find_static
+from mocap.calibration.checks import pairs, sides
+from mocap.calibration.sides import FLOOR, _cues, side_score
 from mocap.motion import Motion
 from mocap.recording import RawRecording
 from mocap.synthesis.motions import builtin, walk
 from mocap.synthesis.staging import with_static_pose
-from tests.mocap.calibration.people import clip, worn
+from tests.mocap.calibration.people import clip, posed, worn
 
 ARMS = ("left_upper_arm", "right_upper_arm", "pelvis")
 
@@ -28,11 +28,8 @@ def exchanged(raw: RawRecording, kinds: tuple[str, ...]) -> RawRecording:
 
 def named(raw: RawRecording, pose: str = "n", facing: float = 0.0) -> set[str | None]:
     """What both checks say of sensors whose facing is known."""
-    static = average(raw, find_static(raw, 1.5))
-    phi, sigma = np.full(len(raw.sensors), facing), np.full(len(raw.sensors), 0.1)
-    found = side_checks.check_sides(raw, static, phi, pose)
-    found += side_checks.check_pairs(raw, static, phi, sigma, pose, set())
-    return {f.sensor for f in found}
+    evidence = posed(raw, pose, facing=facing)
+    return {f.sensor for f in sides.check(evidence) + pairs.check(evidence)}
 
 
 def with_arms_turned_out(seconds: float) -> Motion:
@@ -78,12 +75,12 @@ def test_levels_that_agree_are_on_the_same_sides() -> None:
 def test_a_whole_limb_takes_a_clearer_score(monkeypatch: pytest.MonkeyPatch) -> None:
     """-1.3 names pairs that are alone, not those of a suit whose other levels agree; -1.6 does."""
     raw = worn(builtin(60.0, 22.6), places.SUIT, "realistic")
-    monkeypatch.setattr(side_checks, "side_score", lambda *_: -1.3)
+    monkeypatch.setattr(pairs, "side_score", lambda *_: -1.3)
     assert named(raw) == set()
-    pairs = {f"{side}_{kind}" for side in ("left", "right") for kind in ("forearm", "shank")}
-    assert named(raw.select(places.SIX)) == pairs
-    monkeypatch.setattr(side_checks, "side_score", lambda *_: -1.6)
-    assert named(raw) == pairs
+    both = {f"{side}_{kind}" for side in ("left", "right") for kind in ("forearm", "shank")}
+    assert named(raw.select(places.SIX)) == both
+    monkeypatch.setattr(pairs, "side_score", lambda *_: -1.6)
+    assert named(raw) == both
 
 
 @pytest.mark.parametrize("name", ["14_31", "14_07", "salsa_22", "14_37", "02_05", "indian_04"])
@@ -99,9 +96,8 @@ def test_other_people_are_not_accused(name: str) -> None:
 
 def score(raw: RawRecording, kind: str, facing: float = 0.0, sigma: float = 0.1) -> float:
     """The side score of sensors whose facing is known to sigma, rad."""
-    static = average(raw, find_static(raw, 1.5))
-    S = len(raw.sensors)
-    return side_checks.side_score(raw, static, np.full(S, facing), np.full(S, sigma), kind)
+    pose = posed(raw, facing=facing, sigma=sigma).pose
+    return side_score(raw, pose.static, pose.facing, pose.sigma, kind)
 
 
 @pytest.mark.parametrize("kind", ["shank", "forearm"])
@@ -130,8 +126,8 @@ def test_the_side_to_which_up_tilts_is_independent_of_what_the_pelvis_does() -> 
     turned = ori.rot_y(3.0 * np.sin(t))
     D = np.stack([turned, turned @ ori.rot_z(angle), turned @ ori.rot_z(-angle)], axis=1)
     x = 2 * np.sin(angle)
-    cues = side_checks._cues(D, np.zeros((400, 3, 3)), 60.0)
-    np.testing.assert_allclose(cues["tilt"], x.mean() / (x.std() + side_checks.FLOOR), atol=1e-9)
+    cues = _cues(D, np.zeros((400, 3, 3)), 60.0)
+    np.testing.assert_allclose(cues["tilt"], x.mean() / (x.std() + FLOOR), atol=1e-9)
     np.testing.assert_allclose(cues["outward"], 0.0, atol=1e-6)
 
 
@@ -145,5 +141,5 @@ def test_a_body_that_turns_throws_its_left_side_outward_and_back() -> None:
     at = 0.1 * (np.gradient(w, t)[:, None] * back - w[:, None] ** 2 * left)
     acc = np.stack([np.zeros_like(at), at, -at], axis=1)
     D = np.repeat(ori.rot_y(heading)[:, None], 3, axis=1)
-    cues = side_checks._cues(D, acc, 60.0)
+    cues = _cues(D, acc, 60.0)
     assert cues["turning"] > 0.95 and cues["round"] > 0.95

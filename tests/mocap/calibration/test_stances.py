@@ -9,7 +9,7 @@ import pytest
 
 from mocap import orientation as ori
 from mocap import sensors as places
-from mocap.calibration import PoseName, calibrate
+from mocap.calibration import PoseName, calibrate, sentence
 from mocap.calibration.static_pose import find_static
 from mocap.calibration.stillness import still_runs
 from mocap.motion import Motion
@@ -83,7 +83,7 @@ def test_a_recording_after_a_pose_raises_no_alarm(what: str, pose: PoseName) -> 
             raw = raw_of(motion, sensors, noise, seed)
             _, cal = calibrate(raw, pose=pose, at=1.0, strict=False)
             said = [f for f in cal.diagnostics if not f.code.endswith("axes")]
-            wrong = [f.sentence for f in said if f.severity == "error" or f.code in QUIET]
+            wrong = [sentence(f) for f in said if f.severity == "error" or f.code in QUIET]
             assert wrong == [], (len(sensors), noise)
 
 

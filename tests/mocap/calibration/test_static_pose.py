@@ -9,7 +9,7 @@ import pytest
 
 from mocap import orientation as ori
 from mocap import sensors as places
-from mocap.calibration import calibrate
+from mocap.calibration import calibrate, sentence
 from mocap.calibration.static_pose import find_static
 from mocap.motion import Motion
 from mocap.synthesis import motions
@@ -39,7 +39,7 @@ def test_a_stance_in_another_posture_is_told(noise: str) -> None:
     assert window.start < 150 and window.rival is not None and window.rival[0] > 900
     _, cal = calibrate(raw, strict=False)
     (said,) = [f for f in cal.diagnostics if f.code == "pose-ambiguous"]
-    assert "0." in said.sentence and "name its time (--at 1" in said.sentence
+    assert "0." in sentence(said) and "name its time (--at 1" in sentence(said)
     assert "pose-ambiguous" not in {
         f.code for f in calibrate(raw, at=1.5, strict=False)[1].diagnostics
     }

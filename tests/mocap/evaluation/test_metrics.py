@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -217,3 +219,36 @@ def test_json_names_are_the_designs(rng):
         "jitter_reference", "root_deg", "global_deg", "instrumented_deg", "left_out_deg",
         "world_position_cm", "translation_m", "translation_m_per_m", "frames", "rate_hz",
     }  # fmt: skip
+
+
+def test_frames_that_are_not_trusted_count_nowhere(rng):
+    """Whatever the prediction and the reference are there; as if each part were evaluated alone."""
+    m = moving(rng, 400)
+    trusted = np.ones(400, bool)
+    trusted[150:180] = False
+    bad = bent(16, [0, 0.2, 0.1], m)
+    R, p = np.array(bad.R_parent_joint), np.array(bad.p_world_root)
+    R[150:180, 17] = ori.exp([0, 0, 3.0])
+    p[150:180] += [0, 5, 0]
+    broken = Motion(60.0, R, p, TABLE)
+    want = evaluate(broken, m, trusted=trusted)
+    marked = evaluate(broken, replace(m, trusted=trusted))
+    assert want.to_json() == marked.to_json()
+    assert (want.frames, want.untrusted_frames) == (370, 30)
+    parts = [evaluate(bad.slice(*s), m.slice(*s)) for s in ((0, 150), (180, 400))]
+    for name in ("sip_deg", "angular_deg", "local_angular_deg", "position_cm", "global_deg"):
+        mean = np.average([getattr(x, name) for x in parts], weights=[150, 220])
+        assert getattr(want, name) == pytest.approx(mean), name
+    mean = np.average([x.jitter for x in parts], weights=[147, 217])
+    assert want.jitter == pytest.approx(mean)
+    assert want.translation_m == {"1": pytest.approx(0), "2": pytest.approx(0), "5": None}
+    assert want.translation_m_per_m == pytest.approx(0)
+    assert np.isnan(want.frame_sip_deg[150:180]).all() and np.isfinite(want.joint_deg).all()
+
+
+def test_a_mask_is_checked(rng):
+    m = moving(rng, 50)
+    with pytest.raises(PoserError, match=r"trusted must be \(50,\) bool"):
+        evaluate(m, m, trusted=np.ones(49, bool))
+    with pytest.raises(PoserError, match="no frame of the reference is trusted"):
+        evaluate(m, m, trusted=np.zeros(50, bool))

@@ -133,7 +133,7 @@ def test_what_newer_and_older_files_name(tmp_path: Path) -> None:
     assert amass.read_motion(none, Options(rate_hz=90.0)).rate_hz == 90.0
     shaped = formats.read(a_file(tmp_path / "c.npz", poses, betas=np.ones(16)))
     assert "neutral mean shape" in shaped.assumptions[0]
-    assert "z-up" in shaped.warnings[0], "an unturned root lies on its back in AMASS's world"
+    assert "--up y" in shaped.warnings[0], "an unturned root lies on its back in AMASS's world"
 
 
 def test_extras_stay_out_of_the_format(rng: np.random.Generator, tmp_path: Path) -> None:

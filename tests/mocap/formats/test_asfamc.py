@@ -52,12 +52,12 @@ def test_an_elbow_by_hand(tmp_path: Path) -> None:
 
 
 def test_angles_turn_in_the_order_of_the_skeleton(tmp_path: Path) -> None:
-    """rx ry rz is Rz Ry Rx: the head, 90 deg about x and then about z, has its y axis along z.
+    """rx ry rz is Rz Ry Rx: the chest, 90 deg about x and then about z, has its y axis along z.
 
     Rz Ry Rx y = Rz (0, 0, 1) = z, whereas Rx Ry Rz y would be -x.
     """
-    m = read(a_trial(tmp_path, [{"head": "90 0 90"}] * 2))
-    np.testing.assert_allclose(m.R_world_joint[0, J["head"]][:, 1], (0, 0, 1), atol=1e-9)
+    m = read(a_trial(tmp_path, [{"thorax": "90 0 90"}] * 2))
+    np.testing.assert_allclose(m.R_world_joint[0, J["spine3"]][:, 1], (0, 0, 1), atol=1e-9)
 
 
 def test_legs_spread_at_zero_angles(tmp_path: Path) -> None:
@@ -116,45 +116,47 @@ def test_the_skeleton_is_found(tmp_path: Path) -> None:
 def pairs(
     shared: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> dict[str, tuple[Motion, Motion]]:
-    """Trials as (AMC, Daz BVH), frames aligned: the BVH has a T-pose first and loses 3 frames."""
+    """Trials as (AMC, Daz BVH), frames aligned: the BVH has a T-pose first and loses 8 frames."""
     data = shared / "data"
     daz = extract(data / "cmu-daz-bvh.tar.xz", ("02_01", "02_05"), tmp_path_factory.mktemp("daz"))
     out = {}
     for name, path in daz.items():
         b = read(path)
-        out[name] = (read(data / "cmu-amc" / f"{name}.amc").slice(2, 2 + len(b)), b)
+        out[name] = (read(data / "cmu-amc" / f"{name}.amc").slice(7, 7 + len(b)), b)
     return out
 
 
 @pytest.mark.parametrize("trial", ["02_01", "02_05"])
 def test_against_the_same_trial_as_bvh(pairs: dict[str, tuple[Motion, Motion]], trial: str) -> None:
-    """A conversion onto another figure keeps the pelvis exactly and the limbs up to its own bones.
-
-    The Daz figure's forearm points 17.5 deg forward of its upper arm at zero angles where CMU's is
-    straight, which makes up the forearm's bound. Its hands drop CMU's bending, so they are left out.
-    """
+    """The Daz conversion, read with its own constants, is the same motion but for its hands and toes."""
     a, b = pairs[trial]
     assert len(a) == len(b)
     apart = np.degrees(ori.angle_between(a.R_world_joint, b.R_world_joint))
     assert apart[:, 0].max() < 0.01
-    assert apart[:, [J["spine1"], J["spine2"], J["spine3"]]].mean() < 4
+    compared = [j for n, j in J.items() if not n.endswith(("wrist", "hand", "foot"))]
+    assert apart[:, compared].mean() < 4
+    assert apart[:, compared].mean(axis=0).max() < 7
     walked = (a.p_world_root - a.p_world_root[0]) - (b.p_world_root - b.p_world_root[0])
     assert np.abs(walked).max() < 0.04
-    bounds = {("hip", "knee"): 10, ("knee", "ankle"): 5, ("ankle", "foot"): 8,
-              ("shoulder", "elbow"): 8, ("elbow", "wrist"): 22}  # fmt: skip
-    for (above, below), bound in bounds.items():
-        for side in ("left", "right"):
-            u, v = (bone(m, f"{side}_{above}", f"{side}_{below}") for m in (a, b))
-            off = np.degrees(np.arccos(np.clip(np.sum(u * v, axis=1), -1, 1)))
-            assert off.mean() < bound, (side, above)
-            # The same limb seen from the other's joint is constant: they move alike.
-            R = b.R_world_joint[:, J[f"{side}_{above}"]]
-            seen = np.einsum("tba,tb->ta", R, u)
-            mean = seen.mean(axis=0) / np.linalg.norm(seen.mean(axis=0))
-            wobble = np.degrees(np.arccos(np.clip(seen @ mean, -1, 1)))
-            assert wobble.mean() < 3.5, (side, above)
-    for side in ("left", "right"):
-        assert apart[:, J[f"{side}_ankle"]].mean() < 8
+
+
+def test_a_trial_that_begins_within_a_take(tmp_path: Path) -> None:
+    """Frames 121 to 123 start one second into the take; errors count as the file does."""
+    path = a_trial(tmp_path, [{"lradius": f"{10 * t}"} for t in range(3)])
+    first = read(path)
+    text = path.read_text()
+    for t in (1, 2, 3):
+        text = text.replace(f"\n{t}\nroot", f"\n{t + 120}\nroot")
+    path.write_text(text)
+    document = formats.read(path)
+    assert isinstance(document.content, Motion)
+    assert document.content.start_s == pytest.approx(1.0)
+    assert first.start_s == 0.0
+    np.testing.assert_array_equal(document.content.R_parent_joint, first.R_parent_joint)
+    assert any("begins with frame 121" in s for s in document.assumptions)
+    path.write_text(text.replace("\n122\n", "\n127\n"))
+    with pytest.raises(FormatError, match="found '127', expected '122'"):
+        formats.read(path)
 
 
 def frames_of(replace: Callable[[str], str]) -> Callable[[Path], Path]:
@@ -181,7 +183,7 @@ def skeleton_of(replace: Callable[[str], str]) -> Callable[[Path], Path]:
 
 AMC = {
     "cut inside a frame": (lambda s: s[: int(0.8 * len(s))], "frame 3"),
-    "cut before frame 1": (lambda s: s[:40], "no line '1'"),
+    "cut before frame 1": (lambda s: s[:40], "no line that is a frame's number"),
     "no skeleton's bone": (lambda s: s.replace("lradius", "antenna"), "'antenna'"),
     "not a number": (lambda s: s.replace("lradius 0", "lradius abc"), "'abc', expected a number"),
     "nan": (lambda s: s.replace("lradius 0", "lradius nan"), "rx is nan"),
@@ -192,8 +194,8 @@ AMC = {
     ),
     "a frame missing": (lambda s: s.replace("\n2\n", "\n7\n"), "found '7', expected '2'"),
     "a bone twice": (lambda s: s.replace("ltibia 0", "lradius 0", 1), "'lradius' occurs twice"),
-    "nothing": (lambda s: "", "no line '1'"),
-    "garbage": (lambda s: "\x01\x02 garbage" * 50, "no line '1'"),
+    "nothing": (lambda s: "", "no line that is a frame's number"),
+    "garbage": (lambda s: "\x01\x02 garbage" * 50, "no line that is a frame's number"),
     "degrees said to be radians": (
         lambda s: s.replace(":DEGREES", ":RADIANS").replace("lradius 0", "lradius 90", 1),
         "frame 1, bone lradius: an angle is 90, expected radians",

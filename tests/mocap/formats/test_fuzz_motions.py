@@ -19,7 +19,6 @@ from mocap import formats
 from mocap import orientation as ori
 from mocap.errors import PoserError
 from mocap.formats import Options, amass
-from mocap.formats.smpl import read_body
 from mocap.motion import Motion
 from mocap.skeleton import PARENTS, REST, Skeleton
 from tests.mocap.formats import motion_files as files
@@ -114,7 +113,7 @@ def _damaged(data: bytes, steps: list[tuple[str, float, int, bytes]]) -> bytes:
 def _read(path: Path, name: str) -> str:
     """What reading says; raises PoserError where it refuses."""
     if name == "smpl":
-        read_body(path, np.ones(10))
+        Skeleton.from_smpl_file(path, np.ones(10))
         return ""
     if name == "asf":
         path = path.with_name("1_01.amc")

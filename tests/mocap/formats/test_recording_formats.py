@@ -10,7 +10,7 @@ import pytest
 
 from mocap import formats, synthesis
 from mocap import orientation as ori
-from mocap.calibration.checks import units as unit_checks
+from mocap.calibration import measures as unit_checks
 from mocap.errors import FormatError
 from mocap.formats import (
     Document,

@@ -17,7 +17,6 @@ from mocap import orientation as ori
 from mocap.errors import FormatError, ShapeError
 from mocap.evaluation import metrics
 from mocap.formats import Options, amass
-from mocap.formats.smpl import read_body
 from mocap.motion import Motion
 from mocap.skeleton import PARENTS, REST, Skeleton
 
@@ -74,7 +73,7 @@ def a_motion(rng: np.random.Generator, T: int = 40) -> Motion:
 
 def test_the_mean_shape_is_the_table(rng: np.random.Generator, tmp_path: Path) -> None:
     np.savez(tmp_path / "smpl.npz", **a_model(rng))  # type: ignore[arg-type]
-    body = read_body(tmp_path / "smpl.npz")
+    body = Skeleton.from_smpl_file(tmp_path / "smpl.npz")
     np.testing.assert_allclose(body.rest_positions, REST, atol=1e-12)
     assert body.mesh.template.shape == (V, 3) and body.mesh.weights.shape == (V, 24)
 
@@ -112,7 +111,7 @@ def test_the_first_releases_pickles(
     }
     (tmp_path / "smpl.pkl").write_bytes(pickle.dumps(old, protocol))
     betas = rng.normal(0, 1, 10)
-    a, b = (read_body(tmp_path / f"smpl.{s}", betas) for s in ("pkl", "npz"))
+    a, b = (Skeleton.from_smpl_file(tmp_path / f"smpl.{s}", betas) for s in ("pkl", "npz"))
     np.testing.assert_array_equal(a.offsets, b.offsets)
     motion = a_motion(rng, 3)
     np.testing.assert_array_equal(a.mesh.vertices(motion), b.mesh.vertices(motion))
@@ -122,7 +121,7 @@ def test_vertices_by_the_formula(rng: np.random.Generator, tmp_path: Path) -> No
     """Skinning vertex by vertex with 4x4 transforms, as SMPL's paper writes it."""
     model = a_model(rng)
     np.savez(tmp_path / "smpl.npz", **model)  # type: ignore[arg-type]
-    body = read_body(tmp_path / "smpl.npz", rng.normal(0, 1, 10))
+    body = Skeleton.from_smpl_file(tmp_path / "smpl.npz", rng.normal(0, 1, 10))
     motion = a_motion(rng)
     t = 35
     local = motion.R_parent_joint[t]
@@ -143,7 +142,7 @@ def test_vertices_by_the_formula(rng: np.random.Generator, tmp_path: Path) -> No
 
 def test_a_body_at_rest_is_its_template(rng: np.random.Generator, tmp_path: Path) -> None:
     np.savez(tmp_path / "smpl.npz", **a_model(rng))  # type: ignore[arg-type]
-    body = read_body(tmp_path / "smpl.npz")
+    body = Skeleton.from_smpl_file(tmp_path / "smpl.npz")
     rest = Motion(60.0, np.eye(3)[None, None].repeat(24, 1), body.offsets[:1], body)
     np.testing.assert_allclose(body.mesh.vertices(rest)[0], body.mesh.template, atol=1e-12)
 
@@ -152,7 +151,7 @@ def test_fingers_fold_onto_our_hands(rng: np.random.Generator, tmp_path: Path) -
     """SMPL+H: index fingers are our 22 and 23, the other fingers are rigid with the wrists."""
     model = a_model(rng, 52)
     np.savez(tmp_path / "smplh.npz", **model)  # type: ignore[arg-type]
-    body = read_body(tmp_path / "smplh.npz")
+    body = Skeleton.from_smpl_file(tmp_path / "smplh.npz")
     np.testing.assert_allclose(body.rest_positions, REST, atol=1e-12)
     folded = body.mesh.weights
     np.testing.assert_allclose(folded.sum(axis=1), 1)
@@ -166,7 +165,7 @@ def test_fingers_fold_onto_our_hands(rng: np.random.Generator, tmp_path: Path) -
 def test_mesh_error_of_the_metrics(rng: np.random.Generator, tmp_path: Path) -> None:
     """mesh_cm is zero for the same pose, and the mean way of the vertices for another."""
     np.savez(tmp_path / "smpl.npz", **a_model(rng))  # type: ignore[arg-type]
-    body = read_body(tmp_path / "smpl.npz")
+    body = Skeleton.from_smpl_file(tmp_path / "smpl.npz")
     motion = a_motion(rng, 300)
     assert metrics.evaluate(motion, motion, smpl=body).mesh_cm == 0.0
     still = Motion(60.0, np.tile(np.eye(3), (5, 24, 1, 1)), np.zeros((5, 3)), body)
@@ -181,7 +180,7 @@ def test_mesh_error_of_the_metrics(rng: np.random.Generator, tmp_path: Path) -> 
 def test_an_amass_file_on_its_own_body(rng: np.random.Generator, tmp_path: Path) -> None:
     """With the model at hand J0 is the shape's own, and the file's betas make the bones."""
     np.savez(tmp_path / "smpl.npz", **a_model(rng))  # type: ignore[arg-type]
-    body = read_body(tmp_path / "smpl.npz", rng.normal(0, 1, 10))
+    body = Skeleton.from_smpl_file(tmp_path / "smpl.npz", rng.normal(0, 1, 10))
     first = a_motion(rng).on(body)
     amass.write_motion(tmp_path / "m.npz", first)
     for options in (Options(smpl=tmp_path / "smpl.npz"), Options()):
@@ -214,14 +213,14 @@ def test_broken_models(
     else:
         path.write_bytes(pickle.dumps(model, 2))
     with pytest.raises(FormatError, match=message) as caught:
-        read_body(path)
+        Skeleton.from_smpl_file(path)
     assert "\n" not in str(caught.value) and str(path) in str(caught.value)
 
 
 def test_other_files(rng: np.random.Generator, tmp_path: Path, chumpy: Any) -> None:
     """No file, garbage, a pickle that wants to run something, matrices and arrays that do not fit."""
     with pytest.raises(FormatError, match="No such file"):
-        read_body(tmp_path / "none.pkl")
+        Skeleton.from_smpl_file(tmp_path / "none.pkl")
     path = tmp_path / "smpl.pkl"
     sparse_far = sparse.csc_matrix(a_model(rng)["J_regressor"])
     sparse_far.indices = sparse_far.indices + 100
@@ -240,7 +239,7 @@ def test_other_files(rng: np.random.Generator, tmp_path: Path, chumpy: Any) -> N
     ):
         path.write_bytes(data)
         with pytest.raises(FormatError, match=message):
-            read_body(path)
+            Skeleton.from_smpl_file(path)
     np.savez(tmp_path / "good.npz", **model)  # type: ignore[arg-type]
     with pytest.raises(ShapeError, match="finite"):
-        read_body(tmp_path / "good.npz", [np.nan])
+        Skeleton.from_smpl_file(tmp_path / "good.npz", [np.nan])

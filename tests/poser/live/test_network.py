@@ -17,10 +17,10 @@ from poser.live import alignment, telling
 from poser.live.alignment import PoseWatch
 from poser.live.assembler import Assembler
 from poser.live.devices import Preferences, Tracker
+from poser.live.heard import Heard
 from poser.live.loop import Report
 from poser.live.packets import Packet, Status
 from poser.live.samples import Network
-from poser.live.sources.protocol import Heard
 
 RATE = 60.0
 

@@ -18,9 +18,9 @@ from mocap import synthesis
 from mocap.evaluation import metrics
 from mocap.motion import Motion
 from mocap.synthesis import motions
+from poser.report import film, pictures, results
 from poser.report import folder as reporting
 from poser.report import page as report
-from poser.report import pictures, player, results
 
 START_S = 92.0
 
@@ -120,7 +120,7 @@ def test_slope_of_the_one_peak_is_no_second_worst_frame() -> None:
 
 
 def test_player_has_the_clock_and_the_page_names_the_chart(every: results.Compared) -> None:
-    html = player.section([every])
+    html = film.section([every])
     found = re.search(r'id="player-data">(.*?)</script>', html, flags=re.DOTALL)
     assert found is not None
     assert json.loads(found[1])["recordings"][0]["start"] == START_S

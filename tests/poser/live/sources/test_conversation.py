@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from poser.live.addresses import Address
+from poser.live.heard import Heard
 from poser.live.packets import Packet, Rejected
 from poser.live.sources.conversation import Conversation, Letter, Sender
-from poser.live.sources.protocol import Heard
 
 
 class Echo:

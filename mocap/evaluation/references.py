@@ -3,69 +3,65 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
-from typing import TYPE_CHECKING
 
-from mocap import timeline as clock
-from mocap.errors import FormatError, PoserError
-from poser.console import note
+import numpy as np
 
-if TYPE_CHECKING:
-    from mocap.motion import Motion
-    from mocap.recording import Recording
+from mocap import orientation as ori
+from mocap import timeline
+from mocap.errors import PoserError
+from mocap.findings import Finding
+from mocap.motion import Motion
+from mocap.recording import Recording
 
 ON_TIME = 1e-3  # of a frame: rounding of times
 ROUNDED = 1e-3  # of a rate, as `Frame Time: 0.01667` does
 APART_DEG = 45.0  # median angle between bones and sensors of which a motion may be another's
 
 
-def with_reference(path: Path, recording: Recording, source: Path, motion: Motion) -> Recording:
-    """The recording with the motion, of the file `source`, as its reference, brought to its frames.
+def with_reference(
+    recording: Recording, motion: Motion, timed: bool = True, source: str = "the motion"
+) -> tuple[Recording, list[Finding]]:
+    """The recording with the motion as its reference, brought to its frames, and what is worth knowing of it.
 
-    By their times where the file states one, else frame 0 on frame 0 of a recording that lasts as long. What
-    the motion does not cover is cut off, with a note. Raises PoserError where they have no two frames in
-    common.
+    timed: the motion's `start_s` is on the recording's clock; else frame 0 lies on frame 0 of a recording
+    that lasts as long. source: what errors call the motion. What it does not cover is cut off. Findings, see
+    `words`: "reference-cut",
+    "reference-replaced", "reference-apart". Raises PoserError where they have no two frames in common, or
+    last differently and are not timed.
     """
-    from mocap.formats import native
-
-    if not native.states_start(source):
+    if not timed:
         if len(motion) == len(recording) and abs(motion.rate_hz / recording.rate_hz - 1) < ROUNDED:
             # The same frames: other systems' files round the time of a frame, which adds up.
             motion = replace(motion, rate_hz=recording.rate_hz)
-        same_time(
-            path, recording, motion, f"{source} does not state its time, so both must last as long"
-        )
+        same_time(recording, motion, f"{source} does not state its time, so both must last as long")
         motion = replace(motion, start_s=recording.start_s)
-    clock.shared({source: motion, path: recording})
+    timeline.shared({source: motion, "the recording": recording})
     a, b = _covered(recording, motion)
     if b - a < 2:
         raise PoserError(
-            f"{source} covers {clock.words(motion)}, {path} {clock.words(recording)}: fewer than two frames "
-            f"of the recording are in both"
+            f"{source} covers {timeline.words(motion)}, the recording {timeline.words(recording)}: fewer "
+            f"than two frames of the recording are in both"
         )
     kept = recording.slice(a, b)
+    found = []
     if len(kept) < len(recording):
-        note(
-            f"{path}: of its {clock.words(recording)}, {clock.words(kept)} are in {source} and kept"
-        )
+        details = {"of": timeline.span(recording), "kept": timeline.span(kept)}
+        found.append(Finding("warning", None, "reference-cut", float(len(kept)), details))
     if recording.reference is not None:
-        note(f"{path}: the reference motion that it holds is replaced")
+        found.append(Finding("warning", None, "reference-replaced"))
     made = replace(kept, reference=_at(motion, kept))
-    _note_apart(path, made, source)
-    return made
+    return made, found + _apart(made)
 
 
-def same_time(path: Path, recording: Recording, reference: Motion, why: str) -> None:
-    """Raises FormatError, with `why`, where they differ by more than a frame in length."""
+def same_time(recording: Recording, reference: Motion, why: str) -> None:
+    """Raises PoserError, with `why`, where they differ by more than a frame in length."""
     lasts = [len(x) / x.rate_hz for x in (recording, reference)]
     if abs(lasts[0] - lasts[1]) > 1.5 / min(recording.rate_hz, reference.rate_hz):
-        raise FormatError(path, f"lasts {lasts[0]:.2f} s, the reference {lasts[1]:.2f} s: {why}")
+        raise PoserError(f"lasts {lasts[0]:.2f} s, the reference {lasts[1]:.2f} s: {why}")
 
 
 def _covered(recording: Recording, motion: Motion) -> tuple[int, int]:
     """The recording's frames from the motion's first frame to its last: the first, and the one after them."""
-    import numpy as np
-
     first, last = (
         (t - recording.start_s) * recording.rate_hz
         for t in (motion.start_s, motion.start_s + (len(motion) - 1) / motion.rate_hz)
@@ -76,27 +72,19 @@ def _covered(recording: Recording, motion: Motion) -> tuple[int, int]:
 
 def _at(motion: Motion, recording: Recording) -> Motion:
     """The motion at the times of a recording's frames."""
-    import numpy as np
-
     at_s = np.arange(len(recording)) / recording.rate_hz + (recording.start_s - motion.start_s)
     made = motion.sampled(at_s, recording.rate_hz)
     return replace(made, start_s=recording.start_s)  # which rounding has left
 
 
-def _note_apart(path: Path, made: Recording, source: Path) -> None:
-    """A note where the motion's bones lie far from what the sensors measured."""
-    import numpy as np
-
-    from mocap import orientation as ori
-
+def _apart(made: Recording) -> list[Finding]:
+    """A warning where the motion's bones lie far from what the sensors measured."""
     assert made.reference is not None
     bones, valid = made.reference.R_world_joint[:, made.joint], made.ori_valid
     if not valid.any():
-        return
+        return []
     R = np.swapaxes(bones[valid], -1, -2) @ made.R_world_bone[valid]
     apart = float(np.median(np.rad2deg(np.linalg.norm(ori.log(R), axis=-1))))
-    if apart > APART_DEG:
-        note(
-            f"{path}: its sensors are {apart:.0f} deg (median) from the bones of {source}: is it the motion "
-            f"of this recording, and does it face the same way?"
-        )
+    if apart <= APART_DEG:
+        return []
+    return [Finding("warning", None, "reference-apart", apart, {"apart_deg": apart})]

@@ -51,11 +51,12 @@ def _of_file(path: Path, whole: Recording, window: Recording, first: int) -> Mot
     """A motion file at the recording's rate: by its time where it states one, else of the whole recording or
     of the window.
     """
-    from mocap import timeline as clock
+    from mocap import timeline
+    from mocap.formats import native
 
     found, frames = files.motion(path).resampled(whole.rate_hz), len(window)
     with files.about(path):
-        found = clock.placed(path, found, whole, window, first)
+        found = timeline.placed(found, native.states_start(path), whole, window, first)
     if len(found) != frames:
         raise PoserError(
             f"{path}: {len(found)} frames at {whole.rate_hz:g} Hz, expected as many as the "

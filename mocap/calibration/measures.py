@@ -22,6 +22,12 @@ WRONG_UNIT = 15  # times too large or too small: no scale, a unit
 KEPT = 0.7
 
 
+def unmeasured(raw: RawRecording, s: int) -> list[str]:
+    """Which of acc and gyr sensor `s` has no sample of."""
+    quantities = (("acc", raw.acc), ("gyr", raw.gyr))
+    return [what for what, x in quantities if not np.isfinite(x[:, s]).all(axis=-1).any()]
+
+
 def stillest(acc: Array, rate_hz: float) -> tuple[Array, Array]:
     """Mean |acc| and spread of acc in each sensor's stillest half second: (S,), (S,), NaN where none."""
     n = max(4, round(STILL_WINDOW_S * rate_hz))

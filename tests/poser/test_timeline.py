@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mocap import sensors, synthesis
-from mocap import timeline as clock
+from mocap import sensors, synthesis, timeline
 from mocap.errors import FormatError, PoserError, ShapeError
 from mocap.evaluation import metrics
 from mocap.formats import amass, native
@@ -97,14 +96,14 @@ def test_a_recording_s_reference_is_on_its_clock(place: Path) -> None:
 def test_what_is_shared() -> None:
     a = replace(motions.walk(3.0, 50.0), start_s=10.0)
     b = replace(motions.walk(3.0, 60.0), start_s=11.01)
-    begin, end = clock.shared({Path("a"): a, Path("b"): b})
+    begin, end = timeline.shared({Path("a"): a, Path("b"): b})
     assert (begin, end) == (11.01, 13.0)
-    first, second = clock.cut(a, begin, end), clock.cut(b, begin, end)
+    first, second = timeline.cut(a, begin, end), timeline.cut(b, begin, end)
     assert abs(first.start_s - second.start_s) <= 0.5 / 50
     assert abs(first.seconds - second.seconds) <= 0.5 / 50 + 0.5 / 60
     c = replace(b, start_s=20.0)
     with pytest.raises(PoserError, match=r"a covers 10 to 13 s, c covers 20 to 23 s: they have no"):
-        clock.shared({Path("a"): a, Path("c"): c})
+        timeline.shared({Path("a"): a, Path("c"): c})
 
 
 @pytest.mark.parametrize(

@@ -17,11 +17,10 @@ from __future__ import annotations
 import numpy as np
 
 from mocap.calibration import facing as face
-from mocap.calibration.static_pose import Pose, Window
-from mocap.calibration.stillness import still_runs
-from mocap.findings import Finding
+from mocap.calibration.evidence import Evidence
+from mocap.findings import Finding, Severity
 from mocap.orientation import Array
-from mocap.recording import Bool, RawRecording
+from mocap.recording import Bool
 
 PAIRS = ("upper_arm", "forearm", "wrist")
 BODY = ("pelvis", "sternum", "lower_back", "upper_back", "left_thigh", "right_thigh", "left_pocket",
@@ -38,42 +37,37 @@ SELDOM = 0.03  # of the upright time: whoever did stand in a T-pose has the arms
 SIGMA_DEG = 45.0  # of the facing, from which left and right are not known
 
 
-def check_pose_name(
-    raw: RawRecording,
-    window: Window,
-    pose: Pose,
-    facing: Array,
-    sigma: Array,
-    name: str,
-    arm_angle_deg: float = 80.0,
-) -> list[Finding]:
-    """Does the rest of the recording say that the pose was T where `name` is "n", or N where it is "t"?
+def check(evidence: Evidence) -> list[Finding]:
+    """Does the rest of the recording say that the pose was T where it was called N, or N where called T?
 
-    facing (S,) rad: the wearer's forward in each sensor's world, sigma (S,) its uncertainty. Judged over the
-    frames in which the wearer stands still and upright outside the window, else over all upright ones. An
-    error where a pair of upper arms and one of forearms say T both then and over 10 s of upright frames. Of
-    several pairs the one nearest to the trunk counts; forearms alone say T only of a later stance.
+    Judged over the frames in which the wearer stands still and upright outside the window, else over all
+    upright ones. An error where a pair of upper arms and one of forearms say T both then and over 10 s of
+    upright frames. Of several pairs the one nearest to the trunk counts; forearms alone say T only of a
+    later stance.
 
     Not seen: a pose without a pair of sensors on the arms, or with too little upright time after it; arms
     that never hang after a T-pose called N, or that are held across the body's side after an N-pose called
     T; other angles of the arms; and where the facing is not known and headings are the sensors' own.
     """
-    upright = _upright(raw, window, pose)
-    still = upright & _still(raw, window)
-    pairs = _pairs(raw, window, pose, facing, sigma, upright)
+    raw, pose = evidence.raw, evidence.pose
+    upright = _upright(evidence)
+    still = upright & _still(evidence)
+    pairs = _pairs(evidence, upright)
     for chosen, seconds, when in (
-        (still, STILL_S, "whenever the body stands still"),
-        (upright, UPRIGHT_S, "for most of the time that the body is upright"),
+        (still, STILL_S, "still"),
+        (upright, UPRIGHT_S, "upright"),
     ):
         if not pairs or chosen.sum() < seconds * raw.rate_hz:
             continue
         if (
-            name == "n"
+            pose.name == "n"
             and chosen is upright
             and not {"left_upper_arm", "right_upper_arm"} <= set(raw.sensors)
         ):
             continue  # forearms are held in front of the body for minutes
-        said = [_say(ups, phi, chosen, upright, name, arm_angle_deg) for ups, phi in pairs]
+        said = [
+            _say(ups, phi, chosen, upright, pose.name, pose.arm_angle_deg) for ups, phi in pairs
+        ]
         if said[0]:
             sure = (
                 chosen is still
@@ -81,32 +75,22 @@ def check_pose_name(
                 and len(said) > 1
                 and all(x is not None and x[1] for x in said)
             )
-            return [_finding(name, said[0][0], when, sure)]
+            severity: Severity = "error" if sure and pose.name == "n" else "warning"
+            degrees = said[0][0]
+            details = {"called": pose.name, "degrees": degrees, "when": when}
+            return [Finding(severity, None, "other-pose", degrees, details)]
     return []
 
 
-def _finding(name: str, degrees: float, when: str, sure: bool) -> Finding:
-    if name == "n":
-        text = f"the arms are about {degrees:.0f} deg from the N-pose {when}: was it a T-pose (--pose t)?"
-        return Finding("error" if sure else "warning", None, "other-pose", text, degrees)
-    text = (
-        f"the arms are where they were in the pose {when}, to {degrees:.0f} deg, and never hang as they "
-        f"would after a T-pose: was it an N-pose (--pose n)?"
-    )
-    return Finding("warning", None, "other-pose", text, degrees)
-
-
-def _pairs(
-    raw: RawRecording, window: Window, pose: Pose, facing: Array, sigma: Array, upright: Bool
-) -> list[tuple[list[Array], Array]]:
+def _pairs(evidence: Evidence, upright: Bool) -> list[tuple[list[Array], Array]]:
     """Of each pair of arm sensors whose facing is known: v (T,3) of the left and the right, facing (2,)."""
-    pairs = []
+    raw, pairs = evidence.raw, []
     for kind in PAIRS:
         sides = [f"left_{kind}", f"right_{kind}"]
         if set(sides) <= set(raw.sensors):
             worn = [raw.sensors.index(n) for n in sides]
-            ups = [_up(raw, pose, s) for s in worn]
-            phi = _facing(raw, window, pose, facing, sigma, worn, ups, upright)
+            ups = [_up(evidence, s) for s in worn]
+            phi = _facing(evidence, worn, ups, upright)
             if phi is not None:
                 pairs.append((ups, phi))
     return pairs
@@ -145,33 +129,34 @@ def _median(x: Array, which: Bool) -> float:
     return float(np.median(x)) if len(x) else np.nan
 
 
-def _up(raw: RawRecording, pose: Pose, s: int) -> Array:
+def _up(evidence: Evidence, s: int) -> Array:
     """v (T,3) of one sensor, NaN where it is invalid."""
+    raw = evidence.raw
     assert raw.R_world_sensor is not None
-    v = raw.R_world_sensor[:, s, 1, :] @ pose.R_world_sensor[s].T
+    v = raw.R_world_sensor[:, s, 1, :] @ evidence.pose.static.R_world_sensor[s].T
     return np.where(raw.valid[:, s, None], v, np.nan)
 
 
-def _outside(raw: RawRecording, window: Window) -> Bool:
-    frames = np.arange(len(raw))
+def _outside(evidence: Evidence) -> Bool:
+    frames, window = np.arange(len(evidence.raw)), evidence.pose.window
     return (frames < window.start) | (frames >= window.stop)
 
 
-def _upright(raw: RawRecording, window: Window, pose: Pose) -> Bool:
+def _upright(evidence: Evidence) -> Bool:
     """Frames (T,) outside the window in which trunk and legs tilt by less than UPRIGHT_DEG, mean."""
-    worn = [s for s, n in enumerate(raw.sensors) if n in BODY]
-    outside = _outside(raw, window)
+    worn = [s for s, n in enumerate(evidence.raw.sensors) if n in BODY]
+    outside = _outside(evidence)
     if not worn:
         return outside
-    ups = np.stack([_up(raw, pose, s)[:, 1] for s in worn])
+    ups = np.stack([_up(evidence, s)[:, 1] for s in worn])
     seen = np.isfinite(ups)
     tilt = np.degrees(np.arccos(np.clip(np.where(seen, ups, 1.0), -1, 1)))
     return outside & (tilt.sum(axis=0) < UPRIGHT_DEG * np.maximum(seen.sum(axis=0), 1))
 
 
-def _still(raw: RawRecording, window: Window) -> Bool:
+def _still(evidence: Evidence) -> Bool:
     """Frames (T,) of still runs other than the stance of the pose, which noise may have broken up."""
-    runs = still_runs(raw)
+    raw, window, runs = evidence.raw, evidence.pose.window, evidence.still
     start, stop = window.start, window.stop
     near = BROKEN_S * raw.rate_hz
     for a, b in runs:
@@ -187,29 +172,21 @@ def _still(raw: RawRecording, window: Window) -> Bool:
     return still
 
 
-def _facing(
-    raw: RawRecording,
-    window: Window,
-    pose: Pose,
-    facing: Array,
-    sigma: Array,
-    worn: list[int],
-    ups: list[Array],
-    upright: Bool,
-) -> Array | None:
+def _facing(evidence: Evidence, worn: list[int], ups: list[Array], upright: Bool) -> Array | None:
     """Facing (2,) rad for a pair of arms, or None.
 
     With a common heading what legs and trunk say goes first: arms after a wrong T-pose say the opposite.
     Where nobody says, that of arms which carry up in opposite directions, the left one to the right.
     """
+    raw, pose = evidence.raw, evidence.pose
     if raw.common_heading:
-        cues = face.from_motion(raw, pose, window)
+        cues = face.from_motion(raw, pose.static, pose.window)
         if len(cues) > 1:
             phi, spread, kept = face.combine(cues)
             if spread < np.radians(SIGMA_DEG) and not face.ambiguous(cues, phi, kept):
                 return np.full(2, phi)
-    if (sigma[worn] < np.radians(SIGMA_DEG)).all():
-        return facing[worn]
+    if (pose.sigma[worn] < np.radians(SIGMA_DEG)).all():
+        return pose.facing[worn]
     if not raw.common_heading:
         return None
     left, right = (np.nanmean(face.complex_heading(up[upright])) for up in ups)
