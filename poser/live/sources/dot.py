@@ -70,7 +70,7 @@ class Bluetooth:
                 # Whatever its backend raises: no adapter, switched off, not allowed.
                 post.fault("no Bluetooth")
                 found = []
-            for device in found:
+            for device in () if self._over.is_set() else found:
                 named = (device.name or "").lower().startswith(NAMES)
                 if named and device.address not in self._connected and len(tasks) < MAX_DEVICES:
                     self._connected.add(device.address)
