@@ -41,7 +41,7 @@ def server(host: str, port: int) -> Any:
         import viser
     except ImportError as e:
         raise PoserError(
-            "the viewer needs the package 'viser': pip install 'poser-imu[live]'"
+            "the viewer needs the package 'viser': pip install viser"
         ) from e
     numeric, free = _free(host, port)
     with _mute():

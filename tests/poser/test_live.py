@@ -380,4 +380,4 @@ def test_without_the_extra_a_sentence_names_it(
     monkeypatch.setitem(sys.modules, "pythonosc", None)
     got, sentence = refusal("live", "--source", live, "--sink", "vmc:39539")
     assert got == 1
-    assert "pip install 'poser-imu[live]'" in sentence
+    assert "pip install python-osc" in sentence
