@@ -23,7 +23,7 @@ from mocap.skeleton import Skeleton
 from poser import motions
 from sip.band import Band
 from sip.kinematics import BODY
-from sip.problem import SensorKinematics
+from sip.sensor_kinematics import SensorKinematics
 from sip.terms.base import Point
 
 KNEES = ("left_knee", "right_knee")

@@ -13,7 +13,8 @@ from mocap.orientation import Array
 from sip.band import Band, Factor, NotPositiveDefinite, factored
 from sip.box import Box, bounded_step, reduced
 from sip.kinematics import ROOT_W, recentre
-from sip.problem import CONSTANTS, Problem
+from sip.model import CONSTANTS
+from sip.problem import Problem
 from sip.terms.base import Point
 
 Progress = Callable[[int, float], None]

@@ -18,7 +18,9 @@ from mocap.solution import Solution
 from sip import banded, initial, ipopt
 from sip import kinematics as kin
 from sip.kinematics import ROOT_P
-from sip.problem import CONSTANTS, SensorKinematics, build, reference_root
+from sip.model import CONSTANTS
+from sip.problem import build, reference_root
+from sip.sensor_kinematics import SensorKinematics
 from sip.settings import Settings
 from sip.windows import Part, Window, assemble, part_of, windows
 
@@ -122,7 +124,7 @@ def _solve_window(
             # Constants as large as these are unlikely: they explain what the body or the prior gets wrong.
             longer = settings.correlation_s * max(2.0, excess**2)
             settings = replace(settings, correlation_s=longer)
-            problem = build(problem.recording, skeleton, settings, kinematics, fixed=problem.fixed)
+            problem = build(piece, skeleton, settings, kinematics, fixed=problem.fixed)
             result = banded.minimise(
                 problem, x, R_ref, u, progress=_teller(tell, 0.3, 0.7, "banded, tempered")
             )

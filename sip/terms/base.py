@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, Protocol
 
 import numpy as np
@@ -29,6 +29,25 @@ class Point:
     e_x: Any = None
     p_x: Any = None
     e_u: Any = None
+
+    def slice(self, start: int, stop: int) -> Point:
+        """Frames start to stop-1; the constants are the same."""
+        return Point(
+            *(a if name == "u" or a is None else a[start:stop] for name, a in self._parts())
+        )
+
+    def then(self, other: Point) -> Point:
+        """These frames and those, at the same constants."""
+        pairs = zip(self._parts(), other._parts(), strict=True)
+        return Point(
+            *(
+                a if name == "u" or a is None else np.concatenate([a, b])
+                for (name, a), (_, b) in pairs
+            )
+        )
+
+    def _parts(self) -> list[tuple[str, Any]]:
+        return [(f.name, getattr(self, f.name)) for f in fields(self)]
 
 
 class Term(Protocol):
