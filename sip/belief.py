@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,7 +72,13 @@ class FrameBeliefs:
 
     def slice(self, start: int, stop: int) -> Self:
         """Frames start to stop-1."""
-        cut = slice(start, stop)
+        return self._at(slice(start, stop))
+
+    def every(self, factor: int) -> Self:
+        """Every `factor`-th frame."""
+        return self._at(slice(None, None, factor))
+
+    def _at(self, cut: Any) -> Self:
         L, H = (a if a.ndim == 2 else a[cut] for a in (self.L, self.H))
         return replace(self, R=self.R[cut], scale=self.scale[cut], L=L, H=H)
 
@@ -102,7 +108,11 @@ class Listener:
     """
 
     def __init__(
-        self, skeleton: Skeleton, kinematics: SensorKinematics, joint: Array, settings: Settings
+        self,
+        skeleton: Skeleton,
+        kinematics: SensorKinematics,
+        joint: NDArray[np.int64],
+        settings: Settings,
     ):
         self.skeleton, self.settings = skeleton, settings
         self.joint = np.asarray(joint, int)

@@ -118,7 +118,8 @@ class Horizon:
         self.pelvis: int | None = int(pelvis[0]) if len(pelvis) else None
         self.listener = Listener(skeleton, self.kinematics, self.joint, settings)
         probe = Evidence.blank(64, self.kinematics.S)
-        self.reach = max(t.reach for t in self.model.frame_terms(probe))
+        self.reaches = sorted({t.reach for t in self.model.frame_terms(probe)})
+        self.reach = self.reaches[-1]
         self.size = max(round(self.how.seconds * rate_hz), self.reach + 2)
         self.kept = float(np.exp(-1 / (self.how.memory_s * rate_hz)))
         walk = np.r_[[self.how.walk_mounting] * 3, self.how.walk_heading, [self.how.walk_bias] * 3]
@@ -137,8 +138,11 @@ class Horizon:
         """The state after one more frame, and after the Gauss-Newton steps that it is worth.
 
         frame: its evidence, one frame long. belief: what the network says about the frame `age` frames
-        before it, one frame long. Raises SolveError where no finite cost can be had.
+        before it, one frame long. Frames before the first that has any orientation tell nothing and are left
+        out. Raises SolveError where no finite cost can be had.
         """
+        if not len(state) and not frame.ori_valid.any():
+            return state
         state = self._entered(state, frame)
         if belief is not None and age < len(state):
             state = self._listened(state, belief, len(state) - 1 - age)
@@ -205,7 +209,7 @@ class Horizon:
             arrival = of_constants(sigma, u, self.model.border, self.kinematics.n)
             return replace(state, evidence=frame, point=point, arrival=arrival, frames=frames)
         if len(state) == self.size:
-            state = self._left(state)
+            state = self.without_oldest(state)
         assert state.evidence is not None and state.point is not None
         guess = self._at(*self._guess(state, frame), state.point.u, frame)
         evidence, point = state.evidence.then(frame), state.point.then(guess)
@@ -241,7 +245,7 @@ class Horizon:
             x[:, ROOT_W] = 0
         return x, R
 
-    def _left(self, state: HorizonState) -> HorizonState:
+    def without_oldest(self, state: HorizonState) -> HorizonState:
         """The state without the oldest frame, which the arrival cost now stands for."""
         evidence, point, arrival = state.evidence, state.point, state.arrival
         assert evidence is not None and point is not None and arrival is not None
@@ -259,7 +263,7 @@ class Horizon:
         T, n, border = len(evidence), self.kinematics.n, self.model.border
         band = Band.zeros(T, self.reach, n, border)
         grad, grad_u = np.zeros((T, n)), np.zeros((self.kinematics.S, CONSTANTS))
-        for reach in range(T):
+        for reach in self.reaches:
             # As many frames as a term reaches hold one residual of it: that of the first frame.
             some, here = evidence.slice(0, reach + 1), point.slice(0, reach + 1)
             part = Band(band.blocks[: reach + 1], band.border[: reach + 1], band.corner)
@@ -295,17 +299,20 @@ def run(
     """A recording, frame by frame: R_parent_joint (T,24,3,3) and p_world_root (T,3) m, each frame's as it was
     `lag` frames later.
 
-    belief: of the recording's frames; each is heard `age` frames later.
+    belief: of the recording's frames; each is heard `age` frames later. Frames before the first with any
+    orientation get that one's pose.
     """
     T = len(recording)
     evidence = Evidence.of(recording)
     state = horizon.init()
     R, p = np.empty((T, 24, 3, 3)), np.empty((T, 3))
-    for t in range(T + lag):
+    first = int(recording.ori_valid.any(axis=1).argmax())
+    for t in range(first, T + lag):
         if t < T:
             said = belief.slice(t - age, t - age + 1) if belief is not None and t >= age else None
             state = horizon.step(state, evidence.slice(t, t + 1), said, age)
-        if t >= lag:
+        if t >= lag + first:
             pose = horizon.pose(state, min(lag, T - 1 - (t - lag)))
             R[t - lag], p[t - lag] = pose.R_parent_joint, pose.p_world_root
+    R[:first], p[:first] = R[first], p[first]
     return R, p

@@ -17,6 +17,7 @@ from mocap.skeleton import Skeleton
 from mocap.solution import Solution
 from sip import banded, initial, ipopt
 from sip import kinematics as kin
+from sip.belief import FrameBeliefs, Listener, PoseBelief
 from sip.kinematics import ROOT_P
 from sip.model import CONSTANTS
 from sip.problem import build, reference_root
@@ -34,11 +35,14 @@ def solve(
     skeleton: Skeleton | None = None,
     settings: Settings | None = None,
     progress: Progress | None = None,
+    belief: PoseBelief | None = None,
 ) -> Solution:
     """Reference poses for a recording: SIP, or SOP, over the whole sequence.
 
     skeleton: the body (default: the mean shape). progress(fraction, words) is called from time to time.
-    Raises SolveError where no frame has a usable orientation, or the start is not of this length and rate.
+    belief: what a network says of each frame's pose; it counts as a further term (`sip.belief`).
+    Raises SolveError where no frame has a usable orientation, or the start or the belief is not of this
+    length and rate.
     """
     skeleton, settings = skeleton or Skeleton.default(), settings or Settings()
     if not recording.ori_valid.any():
@@ -46,6 +50,13 @@ def solve(
     began = time.perf_counter()
     kinematics = SensorKinematics(skeleton, recording.joint, recording.placement)
     prior = settings.prior.given(kinematics.active, settings.prior_floor)
+    heard = None
+    if belief is not None:
+        if len(belief) != len(recording):
+            raise SolveError(
+                f"the network's poses have {len(belief)} frames, the recording {len(recording)}"
+            )
+        heard = Listener(skeleton, kinematics, recording.joint, settings).listen(recording, belief)
     given = None
     if isinstance(settings.start, Motion):
         _check_start(settings.start, recording)
@@ -60,7 +71,9 @@ def solve(
             where = f"window {i + 1} of {len(plan)}, " if len(plan) > 1 else ""
             tell = share(progress, i, len(plan), where)
             before = parts[-1] if parts else None
-            part = _solve_window(recording, skeleton, settings, kinematics, given, w, before, tell)
+            part = _solve_window(
+                recording, skeleton, settings, kinematics, given, heard, w, before, tell
+            )
             parts.append(part)
     return assemble(recording, skeleton, settings, prior, parts, time.perf_counter() - began)
 
@@ -91,6 +104,7 @@ def _solve_window(
     settings: Settings,
     kinematics: SensorKinematics,
     given: tuple[Array, Array] | None,
+    heard: FrameBeliefs | None,
     window: Window,
     before: Part | None,
     tell: Progress,
@@ -98,17 +112,18 @@ def _solve_window(
     cold = settings.solver == "ipopt-cold"
     u0 = np.zeros((kinematics.S, CONSTANTS)) if before is None else before.u
     x, R_ref, u, iterations = _start(
-        recording, skeleton, settings, kinematics, given, window, u0, tell
+        recording, skeleton, settings, kinematics, given, heard, window, u0, tell
     )
     # The last frames that the window before keeps are given: differences reach across the seam.
     past = 0 if before is None else PAST
     piece = recording.slice(window.start - past, window.stop)
+    said = heard and heard.slice(window.start - past, window.stop)
     if before is not None:
         k = before.window.keep - before.window.start
         x[:, ROOT_P] += before.x[k, ROOT_P] - x[0, ROOT_P]
         x = np.vstack([before.x[k - past : k], x])
         R_ref = np.concatenate([before.R_ref[k - past : k], R_ref])
-    problem = build(piece, skeleton, settings, kinematics, fixed=past)
+    problem = build(piece, skeleton, settings, kinematics, past, said)
     if cold:
         result = ipopt.minimise(
             problem, x, R_ref, u, False, progress=_teller(tell, 0.3, 1, "IPOPT")
@@ -124,7 +139,7 @@ def _solve_window(
             # Constants as large as these are unlikely: they explain what the body or the prior gets wrong.
             longer = settings.correlation_s * max(2.0, excess**2)
             settings = replace(settings, correlation_s=longer)
-            problem = build(piece, skeleton, settings, kinematics, fixed=problem.fixed)
+            problem = build(piece, skeleton, settings, kinematics, past, said)
             result = banded.minimise(
                 problem, x, R_ref, u, progress=_teller(tell, 0.3, 0.7, "banded, tempered")
             )
@@ -171,6 +186,7 @@ def _start(
     settings: Settings,
     kinematics: SensorKinematics,
     given: tuple[Array, Array] | None,
+    heard: FrameBeliefs | None,
     window: Window,
     u: Array,
     tell: Progress,
@@ -184,23 +200,25 @@ def _start(
         return x, R_ref, u, 0
     prior = settings.prior.given(kinematics.active, settings.prior_floor)
     piece = recording.slice(window.start, window.stop)
+    said = heard and heard.slice(window.start, window.stop)
     x, R_ref = initial.from_prior(recording, skeleton, prior, window.start, window.stop)
     if settings.solver == "ipopt-cold":
         if settings.terms == "sop":
             return x, R_ref, u, 0
-        sop = build(piece, skeleton, replace(settings, terms="sop"), kinematics)
+        sop = build(piece, skeleton, replace(settings, terms="sop"), kinematics, 0, said)
         r = ipopt.minimise(sop, x, R_ref, u, False, progress=_teller(tell, 0, 0.3, "IPOPT SOP"))
         return r.point.x, r.point.R_ref, r.point.u, r.iterations
     factor = max(1, int(piece.rate_hz / settings.coarse_hz))
     if len(piece) < 8 * factor:
         factor = 1
     coarse = initial.coarsened(piece, factor)
+    said = said and said.every(factor)
     plain = replace(settings, self_calibration=False)
     iterations = 0
     xc, Rc = x[::factor], R_ref[::factor]
     zero = np.zeros_like(u)
     for terms in ("sop", "sip") if settings.terms == "sip" else ("sop",):
-        problem = build(coarse, skeleton, replace(plain, terms=terms), kinematics)
+        problem = build(coarse, skeleton, replace(plain, terms=terms), kinematics, 0, said)
         r = banded.minimise(
             problem, xc, Rc, zero, tolerance=1e-3, progress=_teller(tell, 0, 0.3, f"coarse {terms}")
         )
