@@ -1,8 +1,8 @@
 """On whose errors the hybrid's covariance is best fitted: `python benchmarks/covariance.py [--clips N]`.
 
-IMUPoser's errors on the validation clips of two people. Each person's clips are refined with the covariance
-of the other person's errors, with that of motion that the network has learnt from (scaled, see
-`learned.deviations.pooled`), and with the mean of both; beside them the network and its ten Adam steps.
+IMUPoser's errors on the validation clips of a few people. Each person's clips are refined with the covariance
+of the other people's errors, with that of motion that the network has learnt from (scaled, see
+`training.deviations.pooled`), and with the mean of both; beside them the network and its ten Adam steps.
 """
 
 from __future__ import annotations
@@ -17,22 +17,23 @@ from common import evenly, machine, row
 from methods import IMUPOSER_HZ, IMUPOSER_S, Run, imuposer_runs
 
 import hybrid
-from learned import checkpoint, deviations
-from learned.features import COMBINATIONS
+from learned import checkpoint
+from learned.imuposer.adam import AdamEstimator
 from learned.models import Imuposer
-from learned.refine import AdamEstimator
-from learned.validation import Windowed, cut_for, recordings
-from mocap import Motion, dataset, metrics, sensors
+from learned.training import deviations
+from learned.training.validation import Windowed, cut_for, recordings
+from mocap import Motion, dataset, sensors
 from mocap.estimator import Estimator, replay
+from mocap.evaluation import metrics
 from poser.estimators import TRACKER
 
 NAMES = ("sip_deg", "angular_deg", "position_cm", "global_deg", "instrumented_deg", "jitter")
 TRAINING_STEP = 2  # every so many of the training clips
 
 
-def windows(paths: list[Path], most: int | None) -> Windowed:
+def windows(clips: list[dataset.Clip], most: int | None) -> Windowed:
     return cut_for(
-        "imuposer", recordings("imuposer", ((p.stem, dataset.load(p, None)) for p in paths)), most
+        "imuposer", recordings("imuposer", ((c.name, c.motion(None)) for c in clips)), most
     )
 
 
@@ -45,22 +46,18 @@ def main() -> None:
     print(machine())
     model = checkpoint.load(args.weights or checkpoint.shipped("imuposer"), "imuposer")
     assert isinstance(model, Imuposer)
-    held = dataset.files("validation", ("cmu",))
-    people = sorted({dataset.subject_of(p.stem) for p in held})
-    own = {
-        s: windows([p for p in held if dataset.subject_of(p.stem) == s], args.windows)
-        for s in people
-    }
-    seen = windows(dataset.files("train", ("cmu",))[::TRAINING_STEP], args.windows)
+    held = dataset.select("validation", ("cmu",))
+    people = sorted({c.subject for c in held})
+    others = {s: windows([c for c in held if c.subject != s], args.windows) for s in people}
+    seen = windows(dataset.select("train", ("cmu",))[::TRAINING_STEP], args.windows)
     with torch.inference_mode(False), torch.no_grad():
         learnt = deviations.imuposer_covariances(model, seen)
-        of = {s: deviations.imuposer_covariances(model, w) for s, w in own.items()}
+        of = {s: deviations.imuposer_covariances(model, w) for s, w in others.items()}
     ways: dict[str, dict[str, list[np.ndarray]]] = {}
     for s in people:
-        (other,) = (p for p in people if p != s)
-        pairs = [(of[other][k], learnt[k]) for k in range(len(COMBINATIONS))]
+        pairs = list(zip(of[s], learnt, strict=True))
         made = {
-            "other person": [a for a, _ in pairs],
+            "other people": [a for a, _ in pairs],
             "training clips": [c * (a.trace() / c.trace()) for a, c in pairs],
             "both": [deviations.pooled(a, c) for a, c in pairs],
         }

@@ -4,7 +4,7 @@ Reversed axes: of 18 axes of six sensors on 22 s of the built-in motion, how man
 by file orientation and from gyr and acc alone. Exchanged sides of six sensors with the realistic noise: how
 often `calibrate` names exchanged shanks, exchanged forearms, and right pairs, on the built-in motion over
 SEEDS seeds of the noise, as it is and after 3 s in the N-pose, and (needs the data) on clips of 8 to 20 s
-of validation and test subjects after an N-pose of 2 s; those whose rig flips are left out. Arms exchanged
+of validation and test subjects after an N-pose of 2 s, but those with a fault of the capture. Arms exchanged
 with legs: the same of suits, hand with foot and forearm with shank of one side.
 """
 
@@ -16,16 +16,13 @@ from dataclasses import replace
 
 from common import machine, row, seed_of
 
-from learned.corpus import FLIP_RAD
-from mocap import Motion, RawRecording, dataset, fusion, sensors
-from mocap import orientation as ori
-from mocap.calibration import calibrate
-from mocap.sensor_checks import check_sensors
+from mocap import Motion, RawRecording, dataset, sensors
+from mocap.calibration import calibrate, fusion
+from mocap.calibration.checks.single import check_sensors
 from mocap.synthesis import NOISES, raw_recording
-from poser.motions import builtin
-from poser.staging import with_static_pose
+from mocap.synthesis.motions import builtin
+from mocap.synthesis.staging import with_static_pose
 
-END_JOINTS = [7, 8, 12, 15, 20, 21]
 SEEDS = 10
 WIDTHS = (18, 6, 8, 8, 8, 10)
 
@@ -45,7 +42,7 @@ def reversed_axes(raw: RawRecording, what: str) -> tuple[int, int]:
 def clips() -> Iterator[tuple[str, Motion]]:
     for split in ("validation", "test"):
         for name, motion in dataset.clips(split, ("cmu",), 60.0, 8.0, 20.0):  # type: ignore[arg-type]
-            if (ori.angle(motion.R_parent_joint[:, END_JOINTS]) < FLIP_RAD).all():
+            if motion.trusted is None or motion.trusted.all():
                 yield name, with_static_pose(motion, "n", 2.0)
     for name, motion in dataset.clips("validation", ("bandai",), 60.0, 8.0, 20.0):
         yield name, with_static_pose(motion, "n", 2.0)

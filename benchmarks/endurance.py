@@ -27,7 +27,7 @@ from mocap import Recording, sensors, synthesis
 from mocap import orientation as ori
 from mocap.estimator import Estimator, Pose, Sample, samples
 from mocap.formats._files import write_aside
-from poser import motions
+from mocap.synthesis import motions
 from poser.estimators import devices_of, make
 
 TROUBLES = ("nan", "unplugged", "exchanged", "zero", "clock")

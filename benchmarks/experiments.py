@@ -33,20 +33,21 @@ import numpy as np
 import torch
 from common import row
 
-from learned import checkpoint, corpus, deviations, online
+from learned import checkpoint, online
 from learned import kinematics as kin
-from learned.augmentation import Augmentation
 from learned.features import COMBINATIONS
 from learned.models import Dip, Model, for_network
-from learned.settings import TrainSettings
-from learned.train import Trainer
-from learned.validation import cut_for, figures, predict, recordings
-from learned.virtual import Windows
+from learned.training import corpus, deviations
+from learned.training.augmentation import Augmentation
+from learned.training.settings import TrainSettings
+from learned.training.trainer import Trainer
+from learned.training.validation import cut_for, figures, predict, recordings
+from learned.training.virtual import Windows
 from mocap import Motion, dataset, sensors
 from mocap.errors import PoserError
 from mocap.estimator import Estimator, replay
 from mocap.synthesis import Noise
-from poser.commands.train import BANDAI_STEP, own_clips
+from poser.training_collections import BANDAI_STEP, own_clips
 from sip.prior import shipped
 
 BOTH = ("cmu", "bandai")
@@ -313,10 +314,9 @@ def rows_of_validation(model: Model) -> Iterable[dict[str, Any]]:
     for collection, split, step in (
         ("cmu", "train", 6), ("cmu", "validation", 1), ("bandai", "validation", BANDAI_STEP),
     ):  # fmt: skip
-        paths = dataset.files(split, (collection,))[::step]
-        clips = [(p.stem, dataset.load(p, None)) for p in paths]
-        held = cut_for(network, recordings(network, clips))
-        of = {"collection": collection, "split": split, "clips": len(paths)}
+        clips = dataset.select(split, (collection,))[::step]  # type: ignore[arg-type]
+        held = cut_for(network, recordings(network, ((c.name, c.motion(None)) for c in clips)))
+        of = {"collection": collection, "split": split, "clips": len(clips)}
         poses = {
             "mean pose": still.expand(len(held.clip), 24, 3, 3),
             network: predict(model, held)[0],

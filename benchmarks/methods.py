@@ -24,8 +24,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from common import evenly, machine, row, seed_of
 
-from mocap import Motion, dataset, metrics, noskill, sensors, synthesis
+from mocap import Motion, dataset, sensors, synthesis
 from mocap.estimator import Pose, Sample, replay
+from mocap.evaluation import metrics, noskill
 from mocap.skeleton import Skeleton
 from sip.prior import shipped
 
@@ -160,8 +161,8 @@ def imuposer_runs(name: str, clip: Motion, model: Imuposer) -> Iterator[Run]:
     """The 24 combinations on one clip."""
     from learned import runtime
     from learned.features import COMBINATIONS
+    from learned.imuposer.window import ImuposerWindow
     from learned.online.estimator import Online
-    from learned.online.imuposer import ImuposerWindow
 
     everything = synthesis.recording(
         clip, sensors.FIVE, synthesis.NOISES["realistic"], seed_of(name)
@@ -189,8 +190,8 @@ def imuposer_clip(job: tuple[str, Motion, str | None, dict[str, Any]]) -> list[d
     """Every combination of devices on one clip; settings: of the hybrid."""
     import hybrid
     from learned import checkpoint
+    from learned.imuposer.adam import AdamEstimator
     from learned.models import Imuposer
-    from learned.refine import AdamEstimator
     from poser.estimators import TRACKER
 
     name, clip, weights, settings = job

@@ -28,14 +28,15 @@ from hybrid.refinement import Refinement
 from learned import checkpoint, online, runtime
 from learned import kinematics as kin
 from learned.features import COMBINATIONS
+from learned.imuposer.adam import CHAINS, AdamSettings, refine
 from learned.models import Dip, Imuposer, Model, build, for_network
-from learned.reach import inputs, pose_of
-from learned.refine import CHAINS, AdamSettings, refine
-from learned.validation import cut
-from mocap import Motion, Recording, dataset, metrics, orientation, sensors, synthesis
+from learned.training.reach import inputs, pose_of
+from learned.training.validation import cut
+from mocap import Motion, Recording, dataset, orientation, sensors, synthesis
 from mocap.estimator import Pose, replay, samples
+from mocap.evaluation import metrics
 from mocap.skeleton import Skeleton
-from poser import motions
+from mocap.synthesis import motions
 from poser.estimators import TRACKER, devices_of, make, network_of
 
 WIDTHS = (34, 9, 9, 9, 9, 11, 10)
@@ -191,7 +192,7 @@ def refined(motion: Motion, recording: Recording, settings: AdamSettings) -> Mot
 
 def refinement(frames: int) -> None:
     """One frame of IMUPoser's poses refined three ways, a watch, a phone and earphones worn: the hybrid's QP,
-    ten Adam steps by their closed-form gradient (`learned.refine`), and the same steps by autograd through
+    ten Adam steps by their closed-form gradient (`imuposer.adam`), and the same steps by autograd through
     the kinematics of 24 joints, as a network's code would have them."""
     worn = devices_of(sensors.FIVE)
     truth = motions.builtin(25.0)
@@ -238,7 +239,7 @@ def by_autograd(
     R_measured: np.ndarray,
     settings: AdamSettings,
 ) -> np.ndarray:
-    """What `learned.refine.refine` does, gradients by torch; each step's rotation vectors start at zero."""
+    """What `imuposer.adam.refine` does, gradients by torch; each step's rotation vectors start at zero."""
     moving = [j for joint in joints for j in CHAINS[joint]]
     R = torch.as_tensor(R_parent_joint, dtype=torch.float32)
     target = torch.tensor(R_measured, dtype=torch.float32)

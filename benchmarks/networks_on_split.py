@@ -8,11 +8,12 @@ from functools import cache
 import numpy as np
 import torch
 
-from learned import validation
+from learned.dip.network import Gaussian
 from learned.models import Dip, Imuposer, Model
-from learned.networks.dip import Gaussian
-from mocap import Motion, Recording, dataset, metrics
+from learned.training import validation
+from mocap import Motion, Recording, dataset
 from mocap import orientation as ori
+from mocap.evaluation import metrics
 from mocap.synthesis import Noise
 
 MOST_CLIPS: int | None = None  # of a split: for trying things out
@@ -30,9 +31,7 @@ REGIONS: dict[str, tuple[tuple[int, ...], int, int | None]] = {
 @cache
 def recorded(split: dataset.Split, network: str, noise: Noise) -> tuple[Recording, ...]:
     """Virtual sensors on the CMU clips of a split, 2 s or longer, cut to 15 s."""
-    clips: Iterator[tuple[str, Motion]] = (
-        (p.stem, dataset.load(p, None)) for p in dataset.files(split, ("cmu",))
-    )
+    clips = ((c.name, c.motion(None)) for c in dataset.select(split, ("cmu",)))
     found = [r for r in validation.recordings(network, clips, noise) if r.seconds >= 2]
     return tuple(found[:MOST_CLIPS])
 
@@ -91,6 +90,7 @@ def _pairs(
                 true.R_parent_joint[::stride],
                 true.p_world_root[::stride],
                 true.skeleton,
+                trusted=None if true.trusted is None else true.trusted[::stride],
             ),
         )
 

@@ -20,7 +20,7 @@ from hybrid.limb_qp import Answer, LimbQP
 from mocap import Motion, sensors, synthesis
 from mocap import orientation as ori
 from mocap.estimator import Pose, Sample, samples
-from poser import motions
+from mocap.synthesis import motions
 
 CASES = (
     (60.0, sensors.SIX),

@@ -17,9 +17,10 @@ import numpy as np
 from common import data_folder, machine, row
 
 import sip
-from mocap import Recording, formats, metrics, noskill, sensors
+from mocap import Recording, formats, sensors
 from mocap import orientation as ori
 from mocap.calibration import calibrate
+from mocap.evaluation import metrics, noskill
 from poser import tracking
 from sip.prior import shipped
 

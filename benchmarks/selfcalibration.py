@@ -15,7 +15,8 @@ import numpy as np
 from common import machine, row, seed_of
 
 import sip
-from mocap import Motion, dataset, metrics, sensors, synthesis
+from mocap import Motion, dataset, sensors, synthesis
+from mocap.evaluation import metrics
 
 SECONDS = (2.0, 4.0, 15.0)
 QUANTITIES = ("mounting twist deg", "mounting swing deg", "heading deg", "bias m/s^2")

@@ -22,7 +22,7 @@ from common import machine, row
 import sip
 from mocap import Recording, Skeleton, sensors, synthesis
 from mocap.solution import Solution
-from poser import motions
+from mocap.synthesis import motions
 
 RATE_HZ = 60.0
 

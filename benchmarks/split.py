@@ -17,7 +17,8 @@ import numpy as np
 from common import machine, row, seed_of
 
 import sip
-from mocap import Motion, dataset, metrics, noskill, sensors, synthesis
+from mocap import Motion, dataset, sensors, synthesis
+from mocap.evaluation import metrics, noskill
 from sip.prior import shipped
 
 NAMES = ("sip_deg", "angular_deg", "position_cm", "root_deg", "jitter", "jitter_reference")

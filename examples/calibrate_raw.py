@@ -17,7 +17,7 @@ from mocap import orientation as ori
 from mocap import sensors, synthesis
 from mocap.calibration import Calibration, calibrate
 from mocap.recording import RawRecording, Recording
-from poser import motions
+from mocap.synthesis import motions
 
 SHORTEST_S = 8.0  # the static pose, 2 s, and the walk after it, 6 s
 

@@ -16,8 +16,11 @@ import argparse
 from pathlib import Path
 
 from mocap import sensors, synthesis
-from poser import comparison, files, motions, reporting, results
+from mocap.synthesis import motions
+from poser import comparison, files
 from poser.console import table
+from poser.report import folder as reporting
+from poser.report import results
 
 COLUMNS = (
     ("sip_deg", "SIP deg", 1),

@@ -10,8 +10,9 @@ from __future__ import annotations
 import argparse
 
 import sip
-from mocap import metrics, sensors, synthesis
-from poser import motions
+from mocap import sensors, synthesis
+from mocap.evaluation import metrics
+from mocap.synthesis import motions
 from poser.console import table
 
 SETS: dict[str, tuple[str, ...]] = {

@@ -15,7 +15,7 @@ import numpy as np
 from mocap import sensors, synthesis
 from mocap.estimator import Pose, Sample
 from mocap.skeleton import Skeleton
-from poser import motions
+from mocap.synthesis import motions
 from poser.live import loop
 from poser.live.sources import Replay
 

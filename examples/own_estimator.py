@@ -19,11 +19,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hybrid import Tracker
-from mocap import estimator, metrics, sensors, synthesis
+from mocap import estimator, sensors, synthesis
 from mocap import orientation as ori
 from mocap.estimator import Pose, Sample
+from mocap.evaluation import metrics
 from mocap.skeleton import Skeleton
-from poser import motions
+from mocap.synthesis import motions
 from poser.console import table
 from sip.prior import shipped
 

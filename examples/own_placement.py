@@ -18,13 +18,15 @@ from dataclasses import replace
 import numpy as np
 
 import sip
-from mocap import metrics, synthesis
 from mocap import orientation as ori
+from mocap import synthesis
+from mocap.evaluation import metrics
 from mocap.motion import Motion
 from mocap.recording import Recording
+from mocap.seats import second_difference, sensor_positions
 from mocap.sensors import PLACES
 from mocap.skeleton import JOINTS
-from poser import motions
+from mocap.synthesis import motions
 from poser.console import table
 
 Seat = tuple[
@@ -65,8 +67,8 @@ def worn(motion: Motion, seats: dict[str, Seat], noise: synthesis.Noise, seed: i
     d = synthesis.draw(noise, rng, len(motion), len(seats), motion.rate_hz, motion.skeleton)
     body = motion.on(d.skeleton)
     R = body.R_world_joint[:, joint] @ d.tissue @ d.R_bone_sensor
-    p = synthesis.sensor_positions(body, joint, placement + d.seat)
-    acc = synthesis.second_difference(p, motion.rate_hz) + d.white  # NaN, unknown, at both ends
+    p = sensor_positions(body, joint, placement + d.seat)
+    acc = second_difference(p, motion.rate_hz) + d.white  # NaN, unknown, at both ends
     acc += np.einsum("tsij,sj->tsi", R, d.bias)
     turn = ori.rot_y(d.heading)
     return Recording(

@@ -16,14 +16,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import sip
-from mocap import Motion, Recording, metrics, synthesis
+from mocap import Motion, Recording, synthesis
 from mocap import orientation as ori
+from mocap.evaluation import metrics
 from mocap.orientation import Array
 from mocap.skeleton import Skeleton
-from poser import motions
-from sip.band import Band
+from mocap.synthesis import motions
 from sip.kinematics import BODY
 from sip.sensor_kinematics import SensorKinematics
+from sip.solvers.band import Band
 from sip.terms.base import Point
 
 KNEES = ("left_knee", "right_knee")

@@ -12,8 +12,9 @@ from __future__ import annotations
 import argparse
 
 import sip
-from mocap import metrics, sensors, synthesis
-from poser import motions
+from mocap import sensors, synthesis
+from mocap.evaluation import metrics
+from mocap.synthesis import motions
 
 
 def main(argv: list[str] | None = None) -> int:

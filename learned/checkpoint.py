@@ -109,7 +109,7 @@ def _check(config: Config) -> None:
 
 
 def _reach(path: Path) -> int | None:
-    """`online.reach_frames` of the description (`learned.reach`), where it has one."""
+    """`online.reach_frames` of the description (`learned.training.reach`), where it has one."""
     online = describe(path).get("online", {})
     reach = online.get("reach_frames") if isinstance(online, dict) else online
     if reach is not None and (not isinstance(reach, int) or isinstance(reach, bool) or reach < 1):

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from learned.kinematics import from_6d, rot_y, to_6d
-from mocap.metrics import DIP_JOINTS
+from mocap.evaluation.metrics import DIP_JOINTS
 
 Normalisation = Literal["root", "first", "heading"]
 

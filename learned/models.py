@@ -12,10 +12,10 @@ import torch
 from torch import Tensor, nn
 
 from learned import features
+from learned.dip.network import ACC, POSE, BiRNN, FeedForward, Gaussian, WaveNet
 from learned.errors import CheckpointError
 from learned.features import DIP_JOINTS, Normalisation, Scaler
-from learned.networks.dip import ACC, POSE, BiRNN, FeedForward, Gaussian, WaveNet
-from learned.networks.imuposer import IMUPoser
+from learned.imuposer.network import IMUPoser
 from mocap import sensors as places
 
 Architecture = Literal["birnn", "rnn", "feedforward", "wavenet", "imuposer"]
@@ -110,7 +110,7 @@ class Dip(nn.Module):
         # have unit variance; and the deviation of joints that it does not predict.
         self.register_buffer("deviation_scale", torch.ones(24))
         self.register_buffer("deviation_rad", torch.full((24, 3), 0.2))
-        # Of all joints' errors together (72,72) rad^2: `learned.deviations.calibrate`.
+        # Of all joints' errors together (72,72) rad^2: `learned.training.deviations.calibrate`.
         self.register_buffer("error_covariance", 0.04 * torch.eye(72))
 
     @property

@@ -7,7 +7,7 @@ float32 the first layer's input product) the caller keeps from window to window 
 recurrent states are not kept: each window starts from zero, as in training.
 
 Layer 1 remembers seconds, layer 2 often less: some frames from `emit` its states hardly matter any more. How
-many is measured with the weights (`learned.reach`); layer 2 begins there, and layer 1's backward direction,
+many is measured with the weights (`training.reach`); layer 2 begins there, and layer 1's backward direction,
 which only layer 2 reads, ends there. Without a measurement the whole window counts.
 
 A frame waits for the weights to be read from memory. In "int8" they are a quarter: torch's dynamic
@@ -29,8 +29,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import linear
 
+from learned.dip.network import BiRNN, Gaussian
 from learned.models import Dip, Imuposer, Model
-from learned.networks.dip import BiRNN, Gaussian
 
 Precision = Literal["float32", "int8"]
 EVERY = 1_000_000  # frames of layer 2 before and after the emitted one: all that there are

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from mocap.errors import PoserError
+from mocap.exports import lazy
 
 if TYPE_CHECKING:
     from mocap.motion import Motion
@@ -14,16 +14,13 @@ if TYPE_CHECKING:
 
 __all__ = ["Motion", "PoserError", "RawRecording", "Recording", "Skeleton"]
 
-_WHERE = {
-    "Motion": "motion",
-    "RawRecording": "recording",
-    "Recording": "recording",
-    "Skeleton": "skeleton",
-}
-
-
-def __getattr__(name: str) -> Any:
-    """The types, imported when first asked for: `poser --help` needs neither numpy nor scipy."""
-    if name not in _WHERE:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(f"mocap.{_WHERE[name]}"), name)
+# `poser --help` needs neither numpy nor scipy.
+__getattr__ = lazy(
+    __name__,
+    {
+        "Motion": "motion",
+        "RawRecording": "recording",
+        "Recording": "recording",
+        "Skeleton": "skeleton",
+    },
+)

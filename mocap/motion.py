@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from mocap import orientation as ori
 from mocap.errors import ShapeError
@@ -28,8 +28,9 @@ class Motion:
 
     R_parent_joint: (T,24,3,3), entry 0 is the root's R_world_root. p_world_root: (T,3) m, the pelvis
     joint. skeleton: the body. start_s: time of the first frame on the recording's clock in s (0 also where
-    nobody says). Checked once here, then trusted: shapes, finite, orthonormal to 1e-3 (and then projected
-    onto SO(3), so that rounding in a file does not grow along the chain).
+    nobody says). trusted: (T,) bool, the frames whose pose is known to be right, None for all; evaluation and
+    training leave the others out (`mocap.faults` finds them). Checked once here: shapes, finite, orthonormal
+    to 1e-3 (and then projected onto SO(3), so that rounding in a file does not grow along the chain).
     """
 
     rate_hz: float
@@ -37,6 +38,7 @@ class Motion:
     p_world_root: Array
     skeleton: Skeleton
     start_s: float = 0.0
+    trusted: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         R, p = np.array(self.R_parent_joint, float), np.array(self.p_world_root, float)
@@ -58,6 +60,14 @@ class Motion:
             R = ori.project(R)
         if not np.isfinite(self.start_s):
             raise ShapeError(f"Motion: start_s must be a finite number of s, got {self.start_s!r}")
+        if self.trusted is not None:
+            trusted = np.array(self.trusted)
+            if trusted.shape != (len(R),) or trusted.dtype != bool:
+                raise ShapeError(
+                    f"Motion: trusted must be ({len(R)},) bool, got {trusted.shape} {trusted.dtype}"
+                )
+            trusted.setflags(write=False)
+            object.__setattr__(self, "trusted", trusted)
         object.__setattr__(self, "rate_hz", check_rate(self.rate_hz, "Motion"))
         object.__setattr__(self, "start_s", float(self.start_s))
         for name, value in (("R_parent_joint", R), ("p_world_root", p)):
@@ -121,6 +131,7 @@ class Motion:
             R_parent_joint=self.R_parent_joint[start:stop],
             p_world_root=self.p_world_root[start:stop],
             start_s=self.start_s + first / self.rate_hz,
+            trusted=None if self.trusted is None else self.trusted[start:stop],
         )
 
     def on(self, skeleton: Skeleton) -> Motion:
@@ -140,13 +151,24 @@ class Motion:
 
     def sampled(self, at_s: Array, rate_hz: float) -> Motion:
         """At times (N,) s after its first frame, 1 / rate_hz apart: geodesic for rotations, linear for the
-        root's position; the ends hold. start_s becomes that of the first of them.
+        root's position; the ends hold. start_s becomes that of the first of them. A frame is trusted where
+        both that it lies between are.
         """
         t = np.arange(len(self)) / self.rate_hz
         p = np.stack([np.interp(at_s, t, self.p_world_root[:, i]) for i in range(3)], axis=1)
         R = ori.interpolate(t, self.R_parent_joint, at_s)
         start_s = self.start_s + float(at_s[0])
-        return replace(self, rate_hz=rate_hz, R_parent_joint=R, p_world_root=p, start_s=start_s)
+        trusted = self.trusted
+        if trusted is not None:
+            trusted = np.interp(at_s, t, trusted.astype(float)) > 1 - 1e-6
+        return replace(
+            self,
+            rate_hz=rate_hz,
+            R_parent_joint=R,
+            p_world_root=p,
+            start_s=start_s,
+            trusted=trusted,
+        )
 
     def lowpassed(self, cutoff_hz: float) -> Motion:
         """Zero-phase Butterworth low-pass (4th order in effect: 2nd order run both ways).

@@ -8,7 +8,7 @@ from functools import partial
 from mocap.errors import PoserError
 from poser.comparison import Job, attempt
 from poser.console import Progress, part
-from poser.results import Compared, Lost
+from poser.report.results import Compared, Lost
 
 
 def run_many(

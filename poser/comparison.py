@@ -26,7 +26,7 @@ from poser.estimators import (
     network_of_weights,
     used,
 )
-from poser.results import NO_SKILL, Compared, Lost, Result
+from poser.report.results import NO_SKILL, Compared, Lost, Result
 
 if TYPE_CHECKING:
     from sip import Settings
@@ -206,7 +206,7 @@ def six_of(recording: Recording) -> tuple[str, ...]:
 
 def _reference(job: Job, tell: Progress) -> tuple[Motion, str]:
     """The truth and where it comes from, in words. Raises PoserError where there is none that fits."""
-    from poser.staging import on_the_floor
+    from mocap.synthesis.staging import on_the_floor
 
     if isinstance(job.reference, Motion):
         slower = min(job.reference.rate_hz, job.recording.rate_hz)
@@ -262,8 +262,8 @@ def _solve(job: Job, recording: Recording, terms: Any, tell: Progress) -> Any:
 def _result(
     job: Job, motion: Motion, reference: Motion, seen: tuple[str, ...], figures: dict[str, Any]
 ) -> Result:
-    from mocap import metrics
-    from poser.staging import on_the_floor
+    from mocap.evaluation import metrics
+    from mocap.synthesis.staging import on_the_floor
 
     found = metrics.evaluate(motion, reference, recording=job.recording, seen=seen)
     return Result(on_the_floor(motion), found, figures | {"used_sensors": list(seen)})
@@ -271,8 +271,8 @@ def _result(
 
 def _no_skill(recording: Recording, seen: tuple[str, ...], reference: Motion) -> dict[str, Result]:
     """The two rows that need no skill, from the prior's mean and its bank of poses."""
-    from mocap import metrics, noskill
-    from poser.staging import on_the_floor
+    from mocap.evaluation import metrics, noskill
+    from mocap.synthesis.staging import on_the_floor
     from sip.prior import shipped
 
     prior, chosen = shipped(), recording.select(seen)

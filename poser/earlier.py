@@ -8,7 +8,7 @@ from pathlib import Path
 
 from poser.comparison import METHODS
 from poser.console import UsageError
-from poser.results import NO_SKILL, SCHEMA
+from poser.report.results import NO_SKILL, SCHEMA
 
 RECORD = "results.json"
 PAGE = (RECORD, "report.html", "worst.png", "joints.png", "errors.png")

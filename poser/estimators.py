@@ -231,7 +231,7 @@ def make(
     table_joint, table_seat = places.joints_and_seats(names)
     joint = table_joint if joint is None else joint[read]
     if method == "imuposer-adam":
-        from learned.refine import AdamEstimator
+        from learned.imuposer.adam import AdamEstimator
 
         return AdamEstimator(estimator, tuple(joint.tolist()))
     from hybrid import Tracker, TrackerSettings

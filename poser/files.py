@@ -126,7 +126,7 @@ def recording(path: Path, options: Options | None = None, gaps: bool = True) -> 
 def note_gaps(path: Path, used: Recording, whole: Recording) -> None:
     """Note the samples that are missing in what is used of a recording."""
     from mocap.formats._physics import missing
-    from poser.clock import words
+    from mocap.timeline import words
 
     where = f"{path}, {words(used)}" if len(used) < len(whole) else str(path)
     for text in missing(used):

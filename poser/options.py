@@ -137,6 +137,9 @@ def add_reading(parser: ArgumentParser, rate_too: bool = True) -> None:
     group.add_argument(
         "--units", type=units, default=frozenset(), metavar="U,U", help=", ".join(UNITS)
     )
+    group.add_argument(
+        "--up", choices=("y", "z"), help="the axis that points up, where a motion lies on its side"
+    )
     group.add_argument("--smpl", type=file, metavar="FILE", help="your SMPL body file")
     group.add_argument(
         "--map",
@@ -155,6 +158,7 @@ def reading(args: Namespace) -> Options:
         scale=getattr(args, "scale", None),
         rate_hz=getattr(args, "rate", None),
         units=getattr(args, "units", frozenset()),
+        up=getattr(args, "up", None),
         smpl=getattr(args, "smpl", None),
         mapping=getattr(args, "map", None),
     )

@@ -6,8 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from mocap import timeline as clock
 from mocap.errors import FormatError, PoserError
-from poser import clock
 from poser.console import note
 
 if TYPE_CHECKING:

@@ -51,7 +51,7 @@ def _of_file(path: Path, whole: Recording, window: Recording, first: int) -> Mot
     """A motion file at the recording's rate: by its time where it states one, else of the whole recording or
     of the window.
     """
-    from poser import clock
+    from mocap import timeline as clock
 
     found, frames = files.motion(path).resampled(whole.rate_hz), len(window)
     with files.about(path):

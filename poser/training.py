@@ -28,8 +28,8 @@ from poser.console import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from learned.train import Trainer
-    from learned.validation import Windowed
+    from learned.training.trainer import Trainer
+    from learned.training.validation import Windowed
 
 NETWORKS = ("dip", "imuposer")
 
@@ -147,7 +147,7 @@ def _first() -> bool:
 
 def _check_export(export: Path, folder: Path) -> None:
     """Raises UsageError where an export would write over a file of the run."""
-    from learned.run_folder import RunFolder
+    from learned.training.run_folder import RunFolder
 
     own = {path.resolve() for path in RunFolder(folder).files}
     for path in (export, *(export.with_suffix(s) for s in (".json", ".md"))):
@@ -195,7 +195,7 @@ def execute(
         return DONE
     log = read_log(args.output)
     if args.plot:
-        from poser import pictures
+        from poser.report import pictures
 
         pictures.save(draw_log(log), args.plot)
     from learned import checkpoint
@@ -208,7 +208,7 @@ def execute(
         "validation": checkpoint.describe(best)["validation"], "settings": trainer.settings.to_json(),
     } | extra  # fmt: skip
     if args.export:
-        from learned.export import export
+        from learned.training.export import export
 
         with progress(f"exporting {args.export.name}"):
             written = export(best, args.export, windows, {}, trained())

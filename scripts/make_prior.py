@@ -2,7 +2,8 @@
 
 CMU training clips only (see `mocap.dataset`), so that the file is free of the non-commercial licence of the
 other collection. The data used was obtained from mocap.cs.cmu.edu, created with funding from NSF
-EIA-0196217. Poses are taken at 10 Hz, each clip weighted by the square root of its length, and mirrored.
+EIA-0196217. Poses are taken at 10 Hz, each clip weighted by the square root of its length, and mirrored;
+frames with a fault of the capture (`mocap.faults`) are left out.
 """
 
 from __future__ import annotations
@@ -38,10 +39,9 @@ def angles(motion: dataset.Motion) -> np.ndarray:
     return ori.log(motion.R_parent_joint[:, 1:]).reshape(len(motion), 69)
 
 
-def plausible(a: np.ndarray) -> np.ndarray:
-    """The poses without a head or an ankle turned by more than 90 degrees: faults of the source."""
-    turn = np.linalg.norm(a.reshape(-1, 23, 3)[:, [6, 7, 14]], axis=-1)
-    return a[(turn < np.pi / 2).all(axis=1)]
+def steady(trusted: np.ndarray) -> np.ndarray:
+    """(T-2,): whether a frame and those beside it are trusted."""
+    return trusted[:-2] & trusted[1:-1] & trusted[2:]
 
 
 def main() -> None:
@@ -49,15 +49,18 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, default=Path("sip/prior.npz"))
     output = parser.parse_args().output
     poses, weights, rough = [], [], []
+    clips = 0
     for _, motion in dataset.clips("train", ("cmu",), RATE_HZ, min_s=1.0):
+        assert motion.trusted is not None
+        if not steady(motion.trusted).any() or not motion.trusted[::STEP].any():
+            continue
+        clips += 1
         for m in (motion, motion.mirrored()):
             a = angles(m)
-            poses.append(plausible(a[::STEP]))
-            if not len(poses[-1]):
-                poses.pop()
-                continue
+            poses.append(a[::STEP][motion.trusted[::STEP]])
             weights.append(np.full(len(poses[-1]), 1 / np.sqrt(len(poses[-1]))))
-            rough.append(np.mean(np.diff(a, 2, axis=0) ** 2, axis=0) * RATE_HZ**4)
+            bends = np.diff(a, 2, axis=0)[steady(motion.trusted)]
+            rough.append(np.mean(bends**2, axis=0) * RATE_HZ**4)
     x, w = np.concatenate(poses), np.concatenate(weights)
     w /= w.sum()
     mean = w @ x
@@ -92,8 +95,14 @@ def main() -> None:
         poses=bank.astype(np.float16),
     )
     print(
-        f"{output}: {len(x)} poses, {still.sum()} angles never move, roughness scale {scale:.1f} rad/s^2"
+        f"{output}: {len(x)} poses of {clips} clips, {still.sum()} angles never move, roughness scale "
+        f"{scale:.1f} rad/s^2"
     )
+    print("mean pose, deg, and its deviation:")
+    spread = np.sqrt(np.diag(covariance))
+    for j, name in enumerate(JOINTS[1:]):
+        k = slice(3 * j, 3 * j + 3)
+        print(f"{name:>15} {np.rad2deg(mean[k]).round(1)} +- {np.rad2deg(spread[k]).round(1)}")
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
 """The same cost over a window that moves along with time: one Gauss-Newton step a frame.
 
-A third way to solve the built problem, beside `sip.banded` and `sip.ipopt`. The frame that leaves the window
-is eliminated: what it knew becomes a quadratic on the frames that follow it and on the sensors' constants
-(`sip.terms.arrival`). A window as long as the recording, iterated, has the answer of `sip.solve`.
+A third way to solve the built problem, beside `sip.solvers.banded` and `sip.solvers.ipopt`. The frame that
+leaves the window is eliminated: what it knew becomes a quadratic on the frames that follow it and on the
+sensors' constants (`sip.terms.arrival`). A window as long as the recording, iterated, has the answer of `sip.solve`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from mocap.errors import SolveError
 from mocap.orientation import Array
 from mocap.recording import Recording
 from mocap.skeleton import Skeleton
-from sip.band import Band, Factor, NotPositiveDefinite
 from sip.belief import Listener, PoseBelief
 from sip.initial import root_of_sensors
 from sip.kinematics import BODY, ROOT_P, ROOT_W
@@ -25,11 +24,12 @@ from sip.model import CONSTANTS, Evidence, Model, overcount
 from sip.problem import Problem
 from sip.sensor_kinematics import SensorKinematics
 from sip.settings import DEG, Settings
+from sip.solvers.band import Band, Factor, NotPositiveDefinite
 from sip.terms.arrival import Arrival, eliminated, of_constants
 from sip.terms.base import Point, Term
 
 _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e4
-_STEP_ROOT, _STEP_ANGLE = 1.0, 0.2  # m, rad: units of the damping, as in `sip.banded`
+_STEP_ROOT, _STEP_ANGLE = 1.0, 0.2  # m, rad: units of the damping, as in `sip.solvers.banded`
 _WIDE_RAD = 1.5  # a root further from its reference than this gets a new one
 
 

@@ -12,10 +12,10 @@ from mocap.orientation import Array
 from mocap.recording import Recording
 from mocap.skeleton import Skeleton
 from sip import kinematics as kin
-from sip.band import Band
 from sip.belief import FrameBeliefs
 from sip.sensor_kinematics import SensorKinematics
 from sip.settings import Settings
+from sip.solvers.band import Band
 from sip.terms.acceleration import Acceleration
 from sip.terms.anthropometric import Limits, PosePrior
 from sip.terms.base import Point, Term

@@ -1,6 +1,6 @@
 """The built problem: cost, gradient and Gauss-Newton matrix of a model on some evidence.
 
-Building and solving are two steps; the solvers (`sip.banded`, `sip.ipopt`) see only this.
+Building and solving are two steps; the solvers (`sip.solvers.banded`, `sip.solvers.ipopt`) see only this.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from mocap.orientation import Array
 from mocap.recording import Recording
 from mocap.skeleton import Skeleton
 from sip import kinematics as kin
-from sip.band import Band
 from sip.belief import FrameBeliefs
-from sip.box import Box
 from sip.model import CONSTANTS, Evidence, Model
 from sip.prior import Conditioned
 from sip.sensor_kinematics import SensorKinematics
 from sip.settings import Settings
+from sip.solvers.band import Band
+from sip.solvers.box import Box
 from sip.terms.base import Point, Term
 from sip.terms.smoothness import LinearSmoothness, RootSmoothness
 

@@ -15,7 +15,7 @@ from mocap.orientation import Array
 from mocap.recording import Recording
 from mocap.skeleton import Skeleton
 from mocap.solution import Solution
-from sip import banded, initial, ipopt
+from sip import initial
 from sip import kinematics as kin
 from sip.belief import FrameBeliefs, Listener, PoseBelief
 from sip.kinematics import ROOT_P
@@ -23,6 +23,7 @@ from sip.model import CONSTANTS
 from sip.problem import build, reference_root
 from sip.sensor_kinematics import SensorKinematics
 from sip.settings import Settings
+from sip.solvers import banded, ipopt
 from sip.windows import Part, Window, assemble, part_of, windows
 
 Progress = Callable[[float, str], None]

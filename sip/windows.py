@@ -15,13 +15,13 @@ from mocap.recording import Recording
 from mocap.skeleton import Skeleton
 from mocap.solution import Solution
 from sip import kinematics as kin
-from sip.band import factored
-from sip.banded import Result
 from sip.kinematics import BODY, ROOT_P, ROOT_W
 from sip.model import CONSTANTS, overcount
 from sip.prior import Conditioned
 from sip.problem import Problem
 from sip.settings import Settings
+from sip.solvers.band import factored
+from sip.solvers.banded import Result
 from sip.terms.calibration import SensorConstants
 
 FAR_RAD = np.deg2rad(150.0)

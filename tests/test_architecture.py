@@ -17,7 +17,7 @@ MAY_IMPORT = {
     "mocap": set(),
     "sip": {"mocap"},
     "learned": {"mocap"},
-    "hybrid": {"mocap"},
+    "hybrid": {"mocap", "sip"},
     "poser": {"mocap", "sip", "learned", "hybrid"},
 }
 ONLY_IN = {"casadi": "sip", "torch": "learned", "osqp": "hybrid"}

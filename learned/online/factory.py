@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from learned.dip.window import DipWindow
+from learned.imuposer.window import ImuposerWindow
 from learned.models import Dip, Imuposer
-from learned.online.dip import DipWindow
 from learned.online.estimator import Online
-from learned.online.imuposer import ImuposerWindow
 from learned.runtime import Precision, prepare
 from mocap import sensors as places
 from mocap.skeleton import Skeleton

@@ -29,7 +29,8 @@ class Options:
 
     height: the body's stature in m. scale: m per length unit of the file. rate_hz: where the file names
     none. units, a set: "g" or "m/s^2" for accelerations, "deg/s" or "rad/s" for rates, "y-up" where the
-    file's world is not z-up. smpl: the user's SMPL body file.
+    file's world is not z-up. up: "y" or "z", the axis of a motion's world that points up, where the reader
+    finds it wrong. smpl: the user's SMPL body file.
     mapping: sensor names of the file to places of the table, or a file that holds them (by format).
     """
 
@@ -37,6 +38,7 @@ class Options:
     scale: float | None = None
     rate_hz: float | None = None
     units: frozenset[str] = frozenset()
+    up: Literal["y", "z"] | None = None
     smpl: Path | None = None
     mapping: dict[str, str] | Path | None = None
 

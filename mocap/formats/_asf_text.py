@@ -220,61 +220,73 @@ def _tree(
     return tuple(order)
 
 
-def parse_amc(path: Path, asf: AsfFile) -> dict[str, Array]:
-    """By bone: its values (T, degrees of freedom) in the order of its dof; lengths in file units, angles
-    in rad.
+@dataclass(frozen=True, eq=False)
+class AmcFile:
+    """The angles of a trial. first: the number of its first frame, above 1 where it begins within a take.
 
-    Bones that the file leaves out are absent. Raises FormatError naming line or frame, and bone.
+    values: by bone, (T, degrees of freedom) in the order of its dof; lengths in file units, angles in rad.
+    Bones that the file leaves out are absent.
     """
+
+    first: int
+    values: dict[str, Array]
+
+
+def parse_amc(path: Path, asf: AsfFile) -> AmcFile:
+    """The trial in an `.amc` file. Raises FormatError naming line or frame, and bone."""
     text = _text(path)
-    start = re.search(r"^[ \t]*1[ \t]*\r?$", text, re.MULTILINE)
+    start = re.search(r"^[ \t]*(\d{1,9})[ \t]*\r?$", text, re.MULTILINE)
     if start is None:
-        raise FormatError(path, "no line '1' that starts the first frame: cut short or not AMC")
+        raise FormatError(
+            path, "no line that is a frame's number alone, as '1': cut short or not AMC"
+        )
+    number = int(start[1])
     head = text[: start.start()].lower()
     degrees = ":radians" not in head and (":degrees" in head or asf.degrees)
     words = text[start.start() :].split()
-    first = _first_frame(path, words, {b.name: b for b in asf.bones})
+    first = _first_frame(path, words, {b.name: b for b in asf.bones}, f"frame {number}")
     size = 1 + sum(1 + n for _, n in first)
     frames, odd = divmod(len(words), size)
     at, columns = 1, {}
-    fits = odd == 0 and words[0::size] == [str(t) for t in range(1, frames + 1)]
+    fits = odd == 0 and words[0::size] == [str(t) for t in range(number, number + frames)]
     for name, n in first:
         fits = fits and words[at::size].count(name) == frames
         columns[name] = range(at + 1, at + 1 + n)
         at += 1 + n
     if not fits:
-        raise _where_it_breaks(
-            path, text[start.start() :], first, text.count("\n", 0, start.start())
-        )
-    dof = {b.name: b.dof for b in asf.bones}
-    return {
-        name: _values(path, name, [words[c::size] for c in cs], dof[name], degrees)
+        line = text.count("\n", 0, start.start())
+        raise _where_it_breaks(path, text[start.start() :], first, line, number)
+    bones = {b.name: b for b in asf.bones}
+    values = {
+        name: _values(path, bones[name], [words[c::size] for c in cs], degrees, number)
         for name, cs in columns.items()
     }
+    return AmcFile(number, values)
 
 
-def _first_frame(path: Path, words: list[str], bones: dict[str, Bone]) -> list[tuple[str, int]]:
-    """Names and numbers of values of the bones in frame 1; those of all others are the same."""
+def _first_frame(
+    path: Path, words: list[str], bones: dict[str, Bone], where: str
+) -> list[tuple[str, int]]:
+    """Names and numbers of values of the bones in the first frame; those of all others are the same."""
     first: list[tuple[str, int]] = []
     at = 1
     while at < len(words) and not words[at].isdigit():
         bone = bones.get(words[at])
         if bone is None:
             raise FormatError(
-                path, f"found {words[at][:40]!r}, expected a bone of the skeleton", "frame 1"
+                path, f"found {words[at][:40]!r}, expected a bone of the skeleton", where
             )
         if any(bone.name == name for name, _ in first):
-            raise FormatError(path, f"bone {bone.name!r} occurs twice", "frame 1")
+            raise FormatError(path, f"bone {bone.name!r} occurs twice", where)
         first.append((bone.name, len(bone.dof)))
         at += 1 + len(bone.dof)
     if not first:
-        raise FormatError(path, "frame 1 holds no bones")
+        raise FormatError(path, "holds no bones", where)
     return first
 
 
-def _values(
-    path: Path, name: str, columns: list[list[str]], dof: tuple[str, ...], degrees: bool
-) -> Array:
+def _values(path: Path, bone: Bone, columns: list[list[str]], degrees: bool, number: int) -> Array:
+    name, dof = bone.name, bone.dof
     try:
         values = np.array([list(map(float, c)) for c in columns]).T
     except ValueError:
@@ -282,12 +294,12 @@ def _values(
             (t, c[t]) for t in range(len(columns[0])) for c in columns if not _is_number(c[t])
         )
         raise FormatError(
-            path, f"found {word[:40]!r}, expected a number", f"frame {t + 1}, bone {name}"
+            path, f"found {word[:40]!r}, expected a number", f"frame {number + t}, bone {name}"
         ) from None
     bad = ~(np.abs(values) < LARGEST)
     if bad.any():
         t, k = (int(i) for i in np.argwhere(bad)[0])
-        raise FormatError(path, f"{dof[k]} is {values[t, k]:g}", f"frame {t + 1}, bone {name}")
+        raise FormatError(path, f"{dof[k]} is {values[t, k]:g}", f"frame {number + t}, bone {name}")
     turned = [k for k, d in enumerate(dof) if d in ROTATIONS]
     if degrees:
         values[:, turned] = np.radians(values[:, turned])
@@ -295,7 +307,7 @@ def _values(
         t = int(np.abs(values[:, turned]).max(axis=1).argmax())
         found = float(np.abs(values[t, turned]).max())
         raise FormatError(
-            path, f"an angle is {found:g}, expected radians", f"frame {t + 1}, bone {name}"
+            path, f"an angle is {found:g}, expected radians", f"frame {number + t}, bone {name}"
         )
     return values
 
@@ -308,10 +320,12 @@ def _is_number(word: str) -> bool:
     return True
 
 
-def _where_it_breaks(path: Path, body: str, first: list[tuple[str, int]], line: int) -> FormatError:
-    """The first line that is not what the order of frame 1 demands."""
+def _where_it_breaks(
+    path: Path, body: str, first: list[tuple[str, int]], line: int, number: int
+) -> FormatError:
+    """The first line that is not what the order of the first frame demands."""
     expected = [("", 0), *first]
-    at, frame = 0, 0
+    at, frame = 0, number - 1
     for n, text in enumerate(body.splitlines(), line + 1):
         words = text.split()
         if not words:

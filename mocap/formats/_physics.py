@@ -1,8 +1,8 @@
 """Units and axes of a recording, held against gravity, its own orientation and a reference.
 
 A contradiction raises FormatError naming file, sensor and field; a doubt is returned as a text for
-`Document.warnings`. The measures are `mocap.unit_checks`'. What the shared diagnostics of a raw recording
-(`mocap.sensor_checks`) can name, such as reversed axes or a transposed orientation, is told in their words
+`Document.warnings`. The measures are `checks.units`'. What the shared diagnostics of a raw recording
+(`checks.single`) can name, such as reversed axes or a transposed orientation, is told in their words
 and left to `poser calibrate` to refuse; only what nothing explains is refused here.
 """
 
@@ -13,16 +13,24 @@ from pathlib import Path
 import numpy as np
 
 from mocap import orientation as ori
-from mocap import sensor_checks, unit_checks
-from mocap.channel_checks import unmeasured, without_spikes
+from mocap.calibration.checks import single as sensor_checks
+from mocap.calibration.checks import units as unit_checks
+from mocap.calibration.checks.channels import unmeasured, without_spikes
+from mocap.calibration.checks.rates import check_rates
+from mocap.calibration.checks.units import (
+    FASTEST,
+    KEPT,
+    WRONG_UNIT,
+    gravity_size,
+    smoothed,
+    usual_force,
+)
 from mocap.errors import FormatError
 from mocap.formats import Options
 from mocap.formats._checks import gap_report, half_report
 from mocap.orientation import GRAVITY, Array
-from mocap.rate_checks import check_rates
 from mocap.recording import RawRecording, Recording
-from mocap.synthesis import second_difference, sensor_positions
-from mocap.unit_checks import FASTEST, KEPT, WRONG_UNIT, gravity_size, smoothed, usual_force
+from mocap.seats import second_difference, sensor_positions
 
 LIMB_SPEED = 6.0  # m/s: between two ends of a swing
 TILTED_DEG = 60.0  # mean acceleration this far from upright is no movement and no bad calibration

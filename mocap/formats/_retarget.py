@@ -1,16 +1,19 @@
-"""A foreign skeleton's motion on our 24-joint body.
+"""A foreign skeleton's motion on our 24-joint body: T-pose corresponds to T-pose.
 
 Let G_j(t) be the global rotation of the source joint that plays our joint j. Its axes are whatever the
-exporting tool chose, so a constant per joint, C_j, turns them into ours:
+exporting tool chose, so a constant per joint turns them into ours:
 
-    R_world_j(t) = U G_j(t) C_j,      C_j = F_j M_j
+    R_world_j(t) = U G_j(t) F_j M_j
 
-U turns the source's world to y up. F_j is the neutral frame: its columns are our axes in the local axes
-of the source joint, when the body stands in the T-pose in which all our rotations are the identity. M_j
-is the smallest rotation that takes our bone's rest direction to the source's, F_j^T d_j, so that limb
-directions equal the source's in every frame (copied rotations would bend a Daz forearm by 18 deg).
-F_j comes from `mocap.formats._neutral`. Trunk and head have M = I: there the frames correspond, while
-the joints' places inside the trunk are each tool's own choice.
+U turns the source's world to y up. F_j is the neutral frame: its columns are our axes in the local axes of
+the source joint when the body stands in the T-pose (straight arms level with palms down, straight legs, feet
+flat and forward). It comes from the rest pose, from a T-pose in frame 0 or from geometry (`_neutral`), and
+from what is known of the rig (`_rigs`). With M = I every one of our rotations is the identity in the T-pose.
+
+Thighs, shanks, upper arms and forearms have an M_j that makes their directions equal the source's in every
+frame: N_j S_j^T, where S_j turns the T-pose's straight limb into that of our rest pose, and N_j is the
+smallest rotation that takes the straight limb to the source's bone F_j^T d_j. All others have M = I: where a
+tool puts the joints inside trunk, neck and shoulder girdle is its own choice.
 
 The body's size differs, so the place is scaled: the middle of the hips moves as the source's times the
 ratio of leg lengths, and the lowest foot of the motion stands on the floor y = 0.
@@ -24,9 +27,10 @@ import numpy as np
 
 from mocap import orientation as ori
 from mocap.errors import FormatError
-from mocap.formats import _neutral
-from mocap.formats._neutral import minimal_rotation, unit
-from mocap.formats._source import INDEX, TARGET, Roles, Source, assign
+from mocap.formats import _neutral, _upright
+from mocap.formats._frames import STRAIGHT, Neutral, minimal_rotation, unit
+from mocap.formats._neutral import straightening
+from mocap.formats._source import INDEX, Roles, Source, assign
 from mocap.motion import Motion
 from mocap.orientation import Array
 from mocap.skeleton import JOINTS, PARENTS, SOLE_BELOW_TOE, Skeleton
@@ -48,15 +52,18 @@ class Retargeted:
     warnings: tuple[str, ...]
 
 
-def retarget(source: Source, skeleton: Skeleton, scale: float | None = None) -> Retargeted:
+def retarget(
+    source: Source, skeleton: Skeleton, scale: float | None = None, up: _upright.Up | None = None
+) -> Retargeted:
     """The source's motion on `skeleton`.
 
-    scale: m per unit of the file; None guesses it from the leg's length. Raises FormatError where limbs
+    scale: m per unit of the file; None guesses it from the leg's length. up: the axis of the source's world
+    that points up; None finds it. Raises FormatError where limbs
     are not recognised or a given scale makes no human.
     """
     roles = assign(source)
-    neutral = _neutral.find(source, roles)
-    said, doubts = [neutral.assumption], list(neutral.warnings)
+    neutral = _neutral.find(source, roles, up)
+    said, doubts = list(neutral.assumptions), list(neutral.warnings)
     unit_said, unit_doubt = _unit(source, roles, scale)
     said.append(unit_said)
     doubts += unit_doubt
@@ -69,14 +76,12 @@ def retarget(source: Source, skeleton: Skeleton, scale: float | None = None) -> 
     said.append(
         "the path is scaled by the ratio of leg lengths, and the lowest foot stands on the floor y = 0"
     )
-    motion = Motion(source.rate_hz, skeleton.local_rotations(R), p, skeleton)
-    doubts += _beyond_anatomy(motion.R_parent_joint)
+    motion = Motion(source.rate_hz, skeleton.local_rotations(R), p, skeleton, source.start_s)
+    doubts += _beyond_anatomy(motion.R_parent_joint) + _upright.doubts(motion, up)
     return Retargeted(motion, tuple(said), tuple(doubts))
 
 
-def _rotations(
-    source: Source, roles: Roles, neutral: _neutral.Neutral, skeleton: Skeleton
-) -> Array:
+def _rotations(source: Source, roles: Roles, neutral: Neutral, skeleton: Skeleton) -> Array:
     """R_world_joint (T,24,3,3)."""
     G, p = source.forward
     R = np.empty((len(source), 24, 3, 3))
@@ -85,23 +90,20 @@ def _rotations(
     R[:, 0] = trunk[0]
     for k, j in enumerate((INDEX["spine1"], INDEX["spine2"], INDEX["spine3"]), 1):
         R[:, j] = _between(trunk, (len(trunk) - 1) * k / 3)
-    M = {}
+    own = straightening(skeleton.rest_positions, {j: j for j in range(24)})
     for j in range(1, 24):
         if JOINTS[j].startswith("spine"):
             continue
         if j not in neutral.F:
             R[:, j] = R[:, PARENTS[j]]
             continue
-        parent = PARENTS[j]
-        M[j] = np.eye(3)
-        if j in roles.target:
-            i = roles.joint[j]
-            d = _local_direction(G[:, i], p[:, roles.target[j]] - p[:, i])
-            M[j] = minimal_rotation(skeleton.offsets[TARGET[j]], neutral.F[j].T @ d)
-        elif JOINTS[j].endswith(("foot", "wrist")):
-            # Nothing beyond to point at: straight on from the bone above, as in our rest pose.
-            M[j] = M.get(parent, M[j])
-        R[:, j] = neutral.U @ G[:, roles.joint[j]] @ neutral.F[j] @ M[j]
+        i = roles.joint[j]
+        R[:, j] = neutral.U @ G[:, i] @ neutral.F[j]
+        if j in STRAIGHT:
+            if neutral.own_limbs:
+                d = _local_direction(G[:, i], p[:, roles.target[j]] - p[:, i])
+                R[:, j] = R[:, j] @ minimal_rotation(STRAIGHT[j], neutral.F[j].T @ d)
+            R[:, j] = R[:, j] @ own[j].T
     if INDEX["neck"] not in neutral.F and INDEX["head"] in neutral.F:
         R[:, INDEX["neck"]] = _between([R[:, INDEX["spine3"]], R[:, INDEX["head"]]], 0.5)
     return R

@@ -29,7 +29,8 @@ class Source:
 
     names: "" for what cannot be matched (ends of chains). offsets (K,3): each joint in its parent's
     frame. R_local (T,K,3,3): R_parent_joint. translations: (T,3) by joint, where a joint moves in its
-    parent; that of joint 0 is its place in the world. given: names that the user mapped by hand.
+    parent; that of joint 0 is its place in the world. given: names that the user mapped by hand. start_s:
+    time of the first frame on the take's clock.
     """
 
     path: Path
@@ -40,6 +41,7 @@ class Source:
     R_local: Array
     translations: dict[int, Array]
     given: dict[str, str] = field(default_factory=dict)
+    start_s: float = 0.0
 
     def __len__(self) -> int:
         return len(self.R_local)
@@ -47,7 +49,8 @@ class Source:
     def slice(self, start: int) -> Source:
         """Without the frames before `start`."""
         moved = {j: t[start:] for j, t in self.translations.items()}
-        return replace(self, R_local=self.R_local[start:], translations=moved)
+        later = self.start_s + start / self.rate_hz
+        return replace(self, R_local=self.R_local[start:], translations=moved, start_s=later)
 
     def only(self, joints: list[int]) -> Source:
         """With those joints alone; the parent of each must be among them."""
@@ -67,6 +70,16 @@ class Source:
         while self.parents[chain[-1]] >= 0:
             chain.append(self.parents[chain[-1]])
         return chain[::-1]
+
+    def between(self, a: int, b: int) -> tuple[int, ...]:
+        """The joints on the way through the tree from a (not included) to b (included).
+
+        Where neither is above the other, the joint that carries both is left out: it moves with neither.
+        """
+        up, down = self.path_to(a), self.path_to(b)
+        shared = sum(i == j for i, j in zip(up, down, strict=False))
+        way = [*up[shared:][::-1], *down[shared - (b in up) :]]
+        return tuple(i for i in way if i != a)
 
     def below(self, joint: int) -> list[int]:
         """All descendants of `joint`."""
@@ -139,20 +152,22 @@ def assign(source: Source) -> Roles:
         )
     joint = {INDEX[name]: i for name, i in named.items()}
     _check_chains(source, joint)
-    paths = [source.path_to(joint[INDEX[n]]) for n in ("left_hip", "right_hip", "left_shoulder")]
-    joint[0] = _last_common(paths)
+    legs, arms = (
+        [source.path_to(joint[INDEX[f"{s}_{a}"]])[:-1] for s in ("left", "right")]
+        for a in ("hip", "shoulder")
+    )
+    # By the legs: what the hierarchy begins with may be the head, or a reference on the floor.
+    joint[0], chest = _last_common(legs), _last_common(arms)
     for a in ("hip", "shoulder"):
         pair = [joint[INDEX[f"{s}_{a}"]] for s in ("left", "right")]
         width = float(np.linalg.norm(source.rest[pair[0]] - source.rest[pair[1]]))
         if not width > 1e-3 * float(np.ptp(source.rest)):
             raise FormatError(source.path, f"left and right {a} lie on each other")
-    if joint[0] < 0:
+    if min(joint[0], chest) < 0:
         raise FormatError(source.path, "legs and arms do not hang on one root")
-    arms = [source.path_to(joint[INDEX[f"{s}_shoulder"]]) for s in ("left", "right")]
-    chest = _last_common(arms)
-    spine = tuple(i for i in source.path_to(chest) if joint[0] in source.path_to(i)[:-1])
+    spine = source.between(joint[0], chest)
     for name in ("neck", "head"):
-        if INDEX[name] in joint and chest not in source.path_to(joint[INDEX[name]]):
+        if INDEX[name] in joint and joint[INDEX[name]] in (joint[0], *spine):
             del joint[INDEX[name]]
     return Roles(joint, spine, _targets(source, joint))
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from mocap import orientation as ori
 from mocap.errors import FormatError, PoserError, ShapeError
-from mocap.formats import Content, Document, Format, Options, _checks, _npz
+from mocap.formats import Content, Document, Format, Options, _checks, _npz, _upright
 from mocap.formats._files import write_aside
 from mocap.formats._pickled import LARGEST_ANGLE
 from mocap.motion import Motion, check_rate
@@ -46,7 +46,8 @@ def read(path: Path, options: Options) -> Document:
     """The motion of an AMASS file: `poses` (T,72 | 156 | 165) rad, `trans` (T,3) m, a frame rate.
 
     The body is, in this order: the user's SMPL file with the file's `betas`; `options.height`; what this
-    project's own writer left (`offsets` or `height`); the table. options.rate_hz overrides the rate.
+    project's own writer left (`offsets` or `height`); the table. options.rate_hz overrides the rate,
+    options.up the axis of the file's world that points up (z).
     Raises FormatError naming the field and frame that do not fit.
     """
     path = Path(path)
@@ -55,13 +56,14 @@ def read(path: Path, options: Options) -> Document:
     rate = _rate(fields, options)
     skeleton, said = _body(fields, options)
     R = ori.exp(poses.reshape(-1, 24, 3))
-    R[:, 0] = ori.R_YUP_ZUP @ R[:, 0]
-    p = (skeleton.offsets[0] + trans) @ ori.R_YUP_ZUP.T
+    U = _upright.world(options.up or "z")
+    R[:, 0] = U @ R[:, 0]
+    p = (skeleton.offsets[0] + trans) @ U.T
     try:
         motion = Motion(rate, R, p, skeleton)
     except ShapeError as e:
         raise FormatError(path, str(e)) from e
-    return Document("amass", motion, tuple(said), tuple(_doubts(motion)))
+    return Document("amass", motion, tuple(said), tuple(_doubts(motion, options)))
 
 
 def _poses(fields: _npz.Fields) -> tuple[Array, Array]:
@@ -126,18 +128,14 @@ def _body(fields: _npz.Fields, options: Options) -> tuple[Skeleton, list[str]]:
     return skeleton, ["the file's betas need an SMPL model; the neutral mean shape is used"]
 
 
-def _doubts(motion: Motion) -> list[str]:
+def _doubts(motion: Motion, options: Options) -> list[str]:
     """A body that never rises tells of another axis up, one that flies of another unit."""
     doubts = []
     step = np.linalg.norm(np.diff(motion.p_world_root, axis=0), axis=1)
     speed = float(np.median(step)) * motion.rate_hz if len(step) else 0.0
     if speed > FASTEST:
         doubts.append(f"the pelvis moves at {speed:.0f} m/s (median): trans may not be in metres")
-    trunk = motion.p_world_joint[:, JOINTS.index("neck")] - motion.p_world_root
-    up = trunk[:, 1] / np.linalg.norm(trunk, axis=1)
-    if up.max() < 0.5:
-        doubts.append("the trunk is never upright: the file may not be z-up, as AMASS files are")
-    return doubts
+    return doubts + _upright.doubts(motion, options.up)
 
 
 def write_motion(

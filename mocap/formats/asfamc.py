@@ -10,16 +10,14 @@ so that all bones' frames agree with the world at zero angles, as BVH has it; `_
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from mocap.errors import FormatError
 from mocap.formats import Document, Format, Options, _checks
-from mocap.formats._asf_text import ROTATIONS, AsfFile, Bone, parse_amc, parse_asf
+from mocap.formats._asf_text import ROTATIONS, AmcFile, AsfFile, Bone, parse_amc, parse_asf
 from mocap.formats._bvh_text import euler
-from mocap.formats._neutral import minimal_rotation
 from mocap.formats._retarget import retarget
 from mocap.formats._source import Source, assign, needed
 from mocap.motion import check_rate
@@ -47,15 +45,23 @@ def read(path: Path, options: Options) -> Document:
     asf_path = find_asf(path)
     asf = parse_asf(asf_path)
     rate = RATE_HZ if options.rate_hz is None else check_rate(options.rate_hz, str(path))
-    source, doubts = _source(path, asf, rate, options)
+    amc = parse_amc(path, asf)
+    source = _source(path, asf, amc, rate, options)
     body = Skeleton.default(options.height)
     if options.smpl is not None:
         body = Skeleton.from_smpl_file(options.smpl)
-    done = retarget(source, body, options.scale)
+    done = retarget(source, body, options.scale, options.up)
     said = [f"the skeleton is {asf_path.name}"]
+    if amc.first > 1:
+        said.append(f"the file begins with frame {amc.first} of its take: the time starts there")
     if options.rate_hz is None:
         said.append(f"{RATE_HZ:g} Hz, as CMU records: AMC files name no rate")
-    return Document("asfamc", done.motion, (*said, *done.assumptions), (*doubts, *done.warnings))
+    return Document(
+        "asfamc",
+        done.motion,
+        (*said, *done.assumptions),
+        (*_doubts(asf, amc.values), *done.warnings),
+    )
 
 
 def find_asf(path: Path) -> Path:
@@ -72,9 +78,9 @@ def find_asf(path: Path) -> Path:
     raise FormatError(path, f"needs its skeleton {prefix}.asf in the same folder, found {found}")
 
 
-def _source(path: Path, asf: AsfFile, rate: float, options: Options) -> tuple[Source, list[str]]:
+def _source(path: Path, asf: AsfFile, amc: AmcFile, rate: float, options: Options) -> Source:
     """The skeleton as joints: each sits where its bone starts; a bone without children has an end."""
-    values = parse_amc(path, asf)
+    values = amc.values
     T = len(next(iter(values.values())))
     names, parents, offsets, R = [], [], [], []
     for bone in asf.bones:
@@ -102,27 +108,9 @@ def _source(path: Path, asf: AsfFile, rate: float, options: Options) -> tuple[So
         np.stack(R, axis=1),
         {0: _path(asf.bones[0], values.get(asf.bones[0].name), T)},
         given,
+        start_s=(amc.first - 1) / rate,
     )
-    roles = assign(whole)
-    for hip, knee in ((1, 4), (2, 5)):
-        whole = _straightened(whole, roles.joint[hip], roles.joint[knee])
-    return whole.only(needed(whole, roles)), _doubts(asf, values)
-
-
-def _straightened(source: Source, hip: int, knee: int) -> Source:
-    """The leg from joint `hip` on with the frames of a vertical leg.
-
-    At zero angles CMU's legs are spread by 20 deg, feet included: a frame that agrees with the world then
-    would make the feet roll by 20 deg whenever the legs are together. With S the smallest rotation from
-    down to the thigh, G' = G S, so R' = R S at the hip and S^T R S below it, and offsets turn by S^T.
-    """
-    S = minimal_rotation(np.array([0.0, -1.0, 0.0]), source.offsets[knee])
-    R, offsets = np.array(source.R_local), np.array(source.offsets)
-    below = source.below(hip)
-    R[:, [hip, *below]] = R[:, [hip, *below]] @ S
-    R[:, below] = S.T @ R[:, below]
-    offsets[below] = offsets[below] @ S
-    return replace(source, R_local=R, offsets=offsets)
+    return whole.only(needed(whole, assign(whole)))
 
 
 def _turned(bone: Bone, values: Array | None, T: int) -> Array:
@@ -162,9 +150,9 @@ def _doubts(asf: AsfFile, values: dict[str, Array]) -> list[str]:
 
 
 def sniff(path: Path, head: bytes) -> bool:
-    """Whether the first bytes are those of ASF or AMC text: a comment, a keyword or frame 1."""
+    """Whether the first bytes are those of ASF or AMC text: a comment, a keyword or a frame's number."""
     start = head.removeprefix(b"\xef\xbb\xbf").lstrip()[:1]
-    return start in (b"#", b":", b"1") and b"\0" not in head
+    return (start in (b"#", b":") or start.isdigit()) and b"\0" not in head
 
 
 FORMAT = Format("asfamc", (".amc", ".asf"), sniff, _checks.quiet(read))

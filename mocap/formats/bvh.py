@@ -23,6 +23,9 @@ from mocap.skeleton import JOINTS, PARENTS, REST, STATURE_RANGE, Skeleton
 
 CM = 0.01
 _POSITIONS = ("xposition", "yposition", "zposition")
+# In CMU's MotionBuilder files "LeftHand" only turns about the forearm; the hand bends at the joint below.
+MOTIONBUILDER_HANDS = {f"{s}{n}": f"{s.lower()}_{ours}" for s in ("Left", "Right")
+                       for n, ours in (("FingerBase", "wrist"), ("HandIndex1", "hand"))}  # fmt: skip
 _ORDER = ("zrotation", "xrotation", "yrotation")
 # Where the bones without a joint beyond them end, in m from the joint (for display only).
 _ENDS = {
@@ -40,7 +43,8 @@ def read(path: Path, options: Options) -> Document:
     """The motion in a BVH file, on our body (`options.height` or `options.smpl`, else the table's).
 
     options.scale: m per unit of the file (else guessed from the legs). options.rate_hz overrides the
-    frame time. options.mapping: source joint name to ours, for names that are not recognised.
+    frame time. options.up: the axis that points up (else found). options.mapping: source joint name to
+    ours, for names that are not recognised.
     Raises FormatError naming line, joint or frame.
     """
     path = Path(path)
@@ -49,7 +53,7 @@ def read(path: Path, options: Options) -> Document:
     if file.names == _OWN_NAMES and file.parents == _OWN_PARENTS and _is_ours(file):
         return Document("bvh", _read_own(path, file, rate))
     source = _source(path, file, rate, options)
-    done = retarget(source, _body(options), options.scale)
+    done = retarget(source, _body(options), options.scale, options.up)
     return Document("bvh", done.motion, done.assumptions, done.warnings)
 
 
@@ -61,6 +65,9 @@ def _body(options: Options) -> Skeleton:
 
 def _source(path: Path, file: BvhFile, rate: float, options: Options) -> Source:
     """The joints that matter, with their rotations computed."""
+    given = options.mapping if isinstance(options.mapping, dict) else {}
+    if not given and set(MOTIONBUILDER_HANDS) <= set(file.names):
+        given = MOTIONBUILDER_HANDS
     moving = [
         i for i, j in enumerate(file.joints) if j.parent < 0 or set(j.channels) & set(_POSITIONS)
     ]
@@ -72,7 +79,7 @@ def _source(path: Path, file: BvhFile, rate: float, options: Options) -> Source:
         np.array([j.offset for j in file.joints]),
         np.empty((0, len(file.joints), 3, 3)),
         {i: file.translations(i) for i in moving},
-        options.mapping if isinstance(options.mapping, dict) else {},
+        given,
     )
     joints = needed(still, assign(still))
     return replace(still.only(joints), R_local=file.rotations(joints))

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from mocap import orientation as ori
-from mocap import unit_checks
+from mocap.calibration.checks import units as unit_checks
 from mocap.errors import FormatError
 from mocap.formats import (
     Content,

@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from mocap import orientation as ori
-from mocap import unit_checks
+from mocap.calibration.checks import units as unit_checks
+from mocap.calibration.static_pose import find_static
 from mocap.errors import CalibrationError, FormatError
 from mocap.formats import (
     Document,
@@ -28,7 +29,6 @@ from mocap.formats import (
 )
 from mocap.orientation import Array
 from mocap.recording import RawRecording
-from mocap.static_pose import find_static
 
 PLACES: dict[str, str] = {
     "hip": "pelvis",

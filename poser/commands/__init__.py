@@ -5,6 +5,6 @@ The module's docstring is the command's description. Heavy imports belong inside
 
 NAMES: tuple[str, ...] = (
     "demo", "info", "convert", "synthesize", "calibrate", "solve", "track", "evaluate", "compare",
-    "train", "finetune", "view", "live",
+    "data", "train", "finetune", "view", "live",
 )  # fmt: skip
 """Commands in the order of `poser --help`."""

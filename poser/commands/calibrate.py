@@ -24,8 +24,8 @@ HELP = "a raw recording to a calibrated one"
 
 
 def _axis(text: str) -> tuple[str, str]:
+    from mocap.calibration.facing import parsed_axis
     from mocap.errors import CalibrationError
-    from mocap.facing import parsed_axis
 
     name, equals, axis = text.partition("=")
     if not equals or not name.strip():
@@ -38,7 +38,7 @@ def _axis(text: str) -> tuple[str, str]:
 
 
 def _arm_angle(text: str) -> float:
-    from mocap.calibration import ARM_ANGLES_DEG
+    from mocap.stances import ARM_ANGLES_DEG
 
     value, (low, high) = options.number(text), ARM_ANGLES_DEG
     if not low <= value <= high:
@@ -130,7 +130,7 @@ def _with_doubts(
 
     Doubts about sensors that are not used, and those that the diagnostics state themselves, are left out.
     """
-    from mocap.diagnostics import ORDER
+    from mocap.calibration.diagnostics import ORDER
     from mocap.findings import Finding
 
     told = {f.sentence for f in calibration.diagnostics}
@@ -153,9 +153,9 @@ def _with_doubts(
 
 
 def _calibrate(raw: RawRecording, args: Namespace) -> tuple[Recording, Calibration]:
-    from mocap import calibration
+    from mocap import calibration, stances
 
-    angle = calibration.ARM_ANGLE_DEG if args.arm_angle is None else args.arm_angle
+    angle = stances.ARM_ANGLE_DEG if args.arm_angle is None else args.arm_angle
     return calibration.calibrate(
         raw,
         pose=args.pose,

@@ -32,7 +32,7 @@ from poser.console import (
 
 if TYPE_CHECKING:
     from poser.comparison import Job
-    from poser.results import Compared, Lost
+    from poser.report.results import Compared, Lost
 
 HELP = "several methods on the same recordings, with a report"
 
@@ -103,7 +103,9 @@ def run(args: Namespace) -> int:
 
 
 def _compare(args: Namespace) -> int:
-    from poser import batch, comparison, earlier, reporting, results
+    from poser import batch, comparison, earlier
+    from poser.report import folder as reporting
+    from poser.report import results
 
     jobs = _jobs(args)
     where = comparison.check_paths(args.output, [j.name for j in jobs])
@@ -161,8 +163,9 @@ def _check_inputs(args: Namespace, outputs: list[Path]) -> None:
 
 
 def _jobs(args: Namespace) -> list[Job]:
+    from mocap import timeline as clock
     from mocap.skeleton import Skeleton
-    from poser import clock, comparison
+    from poser import comparison
     from poser.commands.solve import cut_window
 
     methods = args.methods or comparison.METHODS
@@ -239,7 +242,7 @@ def _names(paths: list[Path]) -> list[str]:
 
 def _nothing(found: Sequence[Lost | Compared]) -> str:
     """Why nothing could be measured, by the first recording's reasons."""
-    from poser import results
+    from poser.report import results
 
     more = f" (and {len(found) - 1} more recordings)" if len(found) > 1 else ""
     return f"nothing could be measured: {results.failures(found[:1])[0]}{more}"
@@ -252,7 +255,8 @@ def _title(found: Sequence[Lost | Compared]) -> str:
 
 
 def _facts(args: Namespace, jobs: list[Job], found: Sequence[Compared | Lost]) -> dict[str, str]:
-    from poser import comparison, reporting
+    from poser import comparison
+    from poser.report import folder as reporting
 
     first = jobs[0]
     seconds = sum(j.recording.seconds for j in jobs)
@@ -288,7 +292,7 @@ def _devices(jobs: list[Job], found: Sequence[Compared | Lost]) -> list[str]:
     """The sets of devices that IMUPoser saw; a note tells those that the user did not name."""
     from poser.comparison import NETWORK
     from poser.estimators import used
-    from poser.results import measured
+    from poser.report.results import measured
 
     of = {job.name: job for job in jobs}
     sets: dict[str, None] = {}

@@ -15,7 +15,7 @@ from poser.console import DONE, Progress, emit, json_text, note, part, progress,
 if TYPE_CHECKING:
     from mocap.motion import Motion
     from mocap.recording import Recording
-    from poser.results import Compared
+    from poser.report.results import Compared
 
 HELP = "all of it on the built-in motion, with a report"
 NAME = "builtin"
@@ -51,9 +51,11 @@ def run(args: Namespace) -> int:
 
 def _demo(args: Namespace) -> int:
     from mocap import sensors, synthesis
-    from poser import comparison, motions, results
+    from mocap.synthesis import motions
+    from poser import comparison
     from poser.commands.synthesize import noise_generator
-    from poser.reporting import write_report
+    from poser.report import results
+    from poser.report.folder import write_report
 
     with progress("demo") as tell:
         tell(0.0, "virtual sensors")
@@ -105,8 +107,8 @@ def _told(tell: Progress) -> Progress:
 
 
 def _picture(path: Path, truth: Motion, compared: Compared) -> None:
-    from poser import pictures
-    from poser.results import NO_SKILL
+    from poser.report import pictures
+    from poser.report.results import NO_SKILL
 
     times = [t for t in PICTURED_S if t < truth.seconds] or [truth.seconds / 2]
     shown: dict[str, Any] = {"reference": truth}
@@ -116,7 +118,7 @@ def _picture(path: Path, truth: Motion, compared: Compared) -> None:
 
 def _facts(recording: Recording, compared: Compared) -> dict[str, str]:
     from mocap import sensors
-    from poser.reporting import noise_words
+    from poser.report.folder import noise_words
 
     facts = {
         "Motion": f"built-in (standing, walking, squat, arms, jumping jacks, leg raises), "

@@ -16,13 +16,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from mocap import timeline as clock
 from mocap.errors import FormatError
-from poser import clock, files, options, references
+from poser import files, options, references
 from poser.console import DONE, emit, note, table
 
 if TYPE_CHECKING:
+    from mocap.evaluation.metrics import Metrics
     from mocap.formats import Options
-    from mocap.metrics import Metrics
     from mocap.motion import Motion
     from mocap.recording import Recording
 
@@ -99,7 +100,7 @@ class _Answer:
 
 
 def _evaluate(args: Namespace) -> _Answer:
-    from mocap import metrics
+    from mocap.evaluation import metrics
     from mocap.formats import Options, native
     from mocap.skeleton import Skeleton
 
@@ -162,7 +163,8 @@ def _shared(stated: Mapping[Path, Motion | Recording]) -> tuple[float, float] | 
 def _no_skill(
     reference: Motion | None, recording: Recording | None, seen: tuple[str, ...] | None
 ) -> dict[str, Motion]:
-    from mocap import noskill, sensors, synthesis
+    from mocap import sensors, synthesis
+    from mocap.evaluation import noskill
     from sip.prior import shipped
 
     if recording is None:

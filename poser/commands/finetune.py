@@ -39,12 +39,12 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def run(args: Namespace) -> int:
     training.check_outputs(args, args.recordings)
-    from learned import parallel
-    from learned.corpus import key_of
-    from learned.recorded import Recorded
-    from learned.settings import TrainSettings
-    from learned.train import Trainer
-    from learned.validation import cut_for
+    from learned.training import parallel
+    from learned.training.corpus import key_of
+    from learned.training.recorded import Recorded
+    from learned.training.settings import TrainSettings
+    from learned.training.trainer import Trainer
+    from learned.training.validation import cut_for
 
     start, origin = _start(args)
     paths = training_files.recordings(args.recordings)
@@ -93,7 +93,7 @@ def _recording(path: Path, model: Model) -> tuple[Recording, dict[str, str]]:
     Refuses one without a reference, one of a single frame, which has no acceleration, and one whose sensors
     do not serve the network.
     """
-    from learned.recorded import at_rate, placed
+    from learned.training.recorded import at_rate, placed
 
     recording = files.recording(path)
     if len(recording) < 2:

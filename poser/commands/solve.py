@@ -95,7 +95,7 @@ def run(args: Namespace) -> int:
     )
     files.write(args.output, solution.motion, extra, timed=True)
     if args.plot:
-        from poser import pictures
+        from poser.report import pictures
 
         pictures.save(pictures.residuals(solution, recording.sensors), args.plot)
     report(args, recording, solution)
@@ -108,7 +108,7 @@ def _solve(
     from dataclasses import replace
 
     import sip
-    from poser.staging import on_the_floor
+    from mocap.synthesis.staging import on_the_floor
 
     settings = sip.Settings(
         terms=args.terms,

@@ -144,7 +144,7 @@ def _identity(path: Path) -> tuple[int, int] | Path:
 
 def _one(source: Path, sensors: tuple[str, ...], args: Namespace) -> Recording | RawRecording:
     from mocap import synthesis
-    from poser.staging import with_static_pose
+    from mocap.synthesis.staging import with_static_pose
 
     motion = files.motion(source, options.reading(args), quiet=True)
     with files.about(source):

@@ -10,39 +10,26 @@ from __future__ import annotations
 
 import math
 from argparse import ArgumentParser, Namespace
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mocap.errors import PoserError
-from poser import files, licences, options, training, training_files
+from poser import licences, options, training, training_files
+from poser import training_collections as collections
 from poser.console import UsageError, note, part, progress
 
 if TYPE_CHECKING:
-    from learned.corpus import Corpus
-    from learned.settings import TrainSettings
-    from learned.validation import Windowed
-    from mocap.motion import Motion
+    from learned.training.corpus import Corpus
+    from learned.training.settings import TrainSettings
+    from learned.training.validation import Windowed
+    from mocap.dataset import Clip
     from poser.console import Progress
 
 HELP = "train a network on motion capture"
-# Of the windows where several collections are asked for: Bandai's is larger and repetitive, nobody moves as
-# the generated one does.
-SHARES = {"cmu": 0.65, "bandai": 0.35, "generated": 0.25}
-SOURCES = {
-    "cmu": "CMU Graphics Lab mocap (mocap.cs.cmu.edu)",
-    "bandai": "Bandai-Namco-Research-Motiondataset-2 (CC BY-NC 4.0)",
-    "generated": "motion drawn at random (poser.generated)",
-}
-CREDITS = {
-    "cmu": "The data used was obtained from mocap.cs.cmu.edu, created with funding from NSF EIA-0196217.",
-    "bandai": "Bandai-Namco-Research-Motiondataset-2, Bandai Namco Research Inc., CC BY-NC 4.0.",
-}
-ENOUGH = 60  # training files that an error covariance is fitted on, beside the validation files
 # Validation files that windows are cut from: each is up to 15 s of recording in memory (2 MB), and every
 # tenth of AMASS are 1,500.
 VALIDATED = 400
-BANDAI_STEP = 12  # every so many of Bandai's validation clips: they are much alike
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -57,7 +44,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         help="motions to validate on (default: every tenth of MOTION by name)",
     )  # fmt: skip
     parser.add_argument(
-        "--collections", nargs="+", choices=tuple(SHARES),
+        "--collections", nargs="+", choices=tuple(collections.SHARES),
         help="without MOTION: which of the project's collections to train on (default: cmu; weights "
         "trained on bandai are for non-commercial use; generated: motion drawn at random, beside another)",
     )  # fmt: skip
@@ -89,10 +76,10 @@ def add_arguments(parser: ArgumentParser) -> None:
 def run(args: Namespace) -> int:
     settings = _settings(args)
     training.check_outputs(args, [*args.motions, *args.validation])
-    from learned import checkpoint, parallel
-    from learned.train import Trainer
-    from learned.virtual import Windows
-    from poser import generated
+    from learned import checkpoint
+    from learned.training import parallel
+    from learned.training.trainer import Trainer
+    from learned.training.virtual import Windows
 
     start = None
     if args.start:
@@ -104,7 +91,7 @@ def run(args: Namespace) -> int:
     if args.share < 1:
         corpus = corpus.subset(args.share, settings.seed)
         about |= {"clips": len(corpus.names), "minutes": round(corpus.seconds / 60, 1)}
-    learnt = [Path(name) for name in corpus.names if not generated.is_name(name)]
+    learnt = _learnt(args, corpus.names)
     world = parallel.join(args.device)
     config = settings.config
     windows = Windows(
@@ -119,15 +106,19 @@ def run(args: Namespace) -> int:
     with training.bar("preparing", world.first):
         trainer = Trainer(settings, windows, validation, args.output, record, start, world, key)
     return training.execute(
-        trainer, validation, args, record, lambda: _windows(args.network, _evenly(learnt))
+        trainer,
+        validation,
+        args,
+        record,
+        lambda: collections.windows(args.network, collections.evenly(learnt)),
     )
 
 
 def _settings(args: Namespace) -> TrainSettings:
     """Settings of the options. Raises UsageError where one does not concern the network."""
-    from learned.augmentation import Augmentation
     from learned.models import for_network
-    from learned.settings import TrainSettings
+    from learned.training.augmentation import Augmentation
+    from learned.training.settings import TrainSettings
 
     if args.network == "imuposer":
         for name in ("architecture", "normalisation", "no_acc", "no_acc_loss"):
@@ -155,10 +146,10 @@ def _data(args: Namespace, tell: Progress) -> tuple[Corpus, Windowed, dict[str, 
     if not args.motions:
         if args.validation:
             raise UsageError("argument --validation: needs MOTION to train on")
-        return _own_split(args.network, _collections(args), tell)
+        return collections.own_split(args.network, _collections(args), tell)
     if args.collections:
         raise UsageError("argument --collections: not with MOTION")
-    from learned import corpus
+    from learned.training import corpus
 
     train = training_files.motions(args.motions)
     held = training_files.motions(args.validation) if args.validation else []
@@ -184,14 +175,14 @@ def _data(args: Namespace, tell: Progress) -> tuple[Corpus, Windowed, dict[str, 
     }  # fmt: skip
     if left_out.errors:
         about["left_out"] = len(left_out.errors)
-    return clips, _windows(args.network, seen), about
+    return clips, collections.windows(args.network, seen), about
 
 
 def _own_licence(args: Namespace) -> str:
     """Of weights trained on these motions alone."""
     if args.motions:
         return licences.OF_MOTIONS
-    return licences.NON_COMMERCIAL if "bandai" in _collections(args) else licences.PERMISSIVE
+    return collections.licence(_collections(args))
 
 
 def _collections(args: Namespace) -> tuple[str, ...]:
@@ -199,68 +190,8 @@ def _collections(args: Namespace) -> tuple[str, ...]:
     return tuple(dict.fromkeys(args.collections or ("cmu",)))
 
 
-def _windows(network: str, paths: Sequence[Path]) -> Windowed:
-    """As the network sees the motions of these files online."""
-    from learned import validation
-
-    return validation.cut_for(network, validation.recordings(network, _motions(paths)))
-
-
-def _evenly(paths: Sequence[Path]) -> Sequence[Path]:
-    """At most about `ENOUGH` of them."""
-    return paths[:: max(1, len(paths) // ENOUGH)]
-
-
-def _motions(paths: Sequence[Path]) -> Iterator[tuple[str, Motion]]:
-    for path in paths:
-        yield path.stem, files.motion(path, quiet=True)
-
-
-def own_clips(
-    collections: Sequence[str], tell: Progress = lambda fraction, words: None
-) -> tuple[Corpus, list[str]]:
-    """The training clips (`mocap.dataset`) of these of the project's collections, drawn from by `SHARES`; a
-    key of each collection that changes with them."""
-    from learned import corpus
-    from mocap import dataset
-    from poser import generated
-
-    parts, keys = [], []
-    for k, collection in enumerate(collections):
-        forward = part(tell, k / len(collections), (k + 1) / len(collections))
-        if collection == "generated":
-            forward(0.0, "drawing motions at random")
-            parts.append(corpus.pack((n, corpus.prepared(m)) for n, m in generated.motions()))
-            keys.append(f"{generated.NAME} {generated.VERSION}")
-            continue
-        paths = dataset.files("train", (collection,))
-        parts.append(
-            corpus.read(paths, lambda i, n, f=forward: f(i / n, f"reading {i} of {n} motions"))  # type: ignore[misc]
-        )
-        keys.append(corpus.key_of(paths))
-    return corpus.Corpus.join(parts, [SHARES[c] for c in collections]), keys
-
-
-def _own_split(
-    network: str, collections: Sequence[str], tell: Progress
-) -> tuple[Corpus, Windowed, dict[str, Any]]:
-    """The training clips of these collections, and windows of their validation clips."""
-    from mocap import dataset
-
-    captured = [c for c in collections if c != "generated"]
-    if not captured:
-        raise UsageError("argument --collections: generated only beside another, which validates")
-    clips, keys = own_clips(collections, part(tell, 0.0, 0.9))
-    held = []
-    for collection in captured:
-        mine = dataset.files("validation", (collection,))
-        held += mine[::BANDAI_STEP] if collection == "bandai" else mine
-    windows = _windows(network, held)
-    about = {
-        "what": " and ".join(SOURCES[c] for c in captured) + ", training clips of the project's split"
-        + (f"; {SOURCES['generated']}" if "generated" in collections else ""),
-        "credit": " ".join(CREDITS[c] for c in captured),
-        "key": " ".join(keys), "clips": len(clips.names), "minutes": round(clips.seconds / 60, 1),
-        "validation_clips": len(held),
-    }  # fmt: skip
-    return clips, windows, about
+def _learnt(args: Namespace, names: Sequence[str]) -> Sequence[Path | Clip]:
+    """The files of a corpus, as they are to be read."""
+    if args.motions:
+        return [Path(name) for name in names]
+    return collections.learnt(names, _collections(args))

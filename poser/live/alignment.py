@@ -17,12 +17,12 @@ import numpy as np
 
 from mocap import orientation as ori
 from mocap.calibration import Calibration, PoseName, calibrate
+from mocap.calibration.static_pose import Window, average
 from mocap.errors import CalibrationError, FormatError
 from mocap.estimator import Sample
 from mocap.formats._files import check_regular
 from mocap.orientation import Array
 from mocap.recording import RawRecording
-from mocap.static_pose import Window, average
 from poser import files
 from poser.live.assembler import Row
 

@@ -17,10 +17,10 @@ from functools import lru_cache
 import numpy as np
 
 from mocap import orientation as ori
+from mocap import seats
 from mocap import sensors as places
-from mocap import synthesis
 from mocap.motion import Motion
-from poser import motions
+from mocap.synthesis import motions
 from poser.live.devices import DEVICES, EARBUDS, PHONE, WATCH, Preferences, Seen, State, step
 
 RATE_HZ = 25.0
@@ -113,7 +113,7 @@ def _distance(phone: str | None) -> np.ndarray:
     motion = _holding(motion, phone)
     seat = phone.replace("wrist", "hand")
     joint, placement = places.joints_and_seats((WATCH_PLACE, seat))
-    p = synthesis.sensor_positions(motion, joint, placement)
+    p = seats.sensor_positions(motion, joint, placement)
     return np.asarray(np.linalg.norm(p[:, 1] - p[:, 0], axis=1))
 
 

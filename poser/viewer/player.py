@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from poser.staging import floors_of
+from mocap.synthesis.staging import floors_of
 from poser.viewer import stage
 from poser.viewer.tracks import Track
 

@@ -9,16 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap import orientation as ori
-from mocap import synthesis
-from mocap.calibration import pose_bones
 from mocap.errors import FormatError
 from mocap.formats import Options, native
 from mocap.motion import Motion
 from mocap.orientation import Array
 from mocap.recording import Recording
+from mocap.seats import sensor_positions
 from mocap.skeleton import Skeleton
+from mocap.stances import pose_bones
+from mocap.synthesis.staging import on_the_floor
 from poser import files
-from poser.staging import on_the_floor
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +93,7 @@ def as_measured(recording: Recording) -> Motion:
 
 def sensors_on(recording: Recording, motion: Motion) -> Sensors:
     """The sensors at their seats on the moving body, turned as measured."""
-    p = synthesis.sensor_positions(motion, recording.joint, recording.placement)
+    p = sensor_positions(motion, recording.joint, recording.placement)
     ok = recording.ori_valid
     R = np.where(ok[..., None, None], recording.R_world_bone, np.eye(3))
     return Sensors(recording.sensors, ori.project(R), p, ok)

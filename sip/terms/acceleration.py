@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from mocap import orientation as ori
 from mocap.orientation import Array
-from sip.band import Band
+from sip.solvers.band import Band
 from sip.terms.base import Point
 
 

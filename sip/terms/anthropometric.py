@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from mocap.orientation import Array
-from sip.band import Band
 from sip.kinematics import BODY
+from sip.solvers.band import Band
 from sip.terms.base import Point, squared
 
 

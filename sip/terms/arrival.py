@@ -7,7 +7,7 @@ from scipy.linalg import lapack
 
 from mocap.errors import SolveError
 from mocap.orientation import Array
-from sip.band import Band
+from sip.solvers.band import Band
 from sip.terms.base import Point, squared
 
 

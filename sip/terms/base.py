@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from mocap.orientation import Array
-from sip.band import Band
+from sip.solvers.band import Band
 
 
 @dataclass

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mocap.orientation import Array
-from sip.band import Band
+from sip.solvers.band import Band
 from sip.terms.base import Point, squared
 
 

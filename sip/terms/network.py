@@ -9,10 +9,10 @@ import numpy as np
 
 from mocap.orientation import Array
 from sip import kinematics as kin
-from sip.band import Band
 from sip.belief import FrameBeliefs
 from sip.kinematics import ROOT_W
 from sip.over_frames import OverFrames
+from sip.solvers.band import Band
 from sip.terms.base import Point, squared
 
 

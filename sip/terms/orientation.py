@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.orientation import Array
-from sip.band import Band
+from sip.solvers.band import Band
 from sip.terms.base import Point, add_stencil, squared
 
 

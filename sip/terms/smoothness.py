@@ -7,9 +7,9 @@ import numpy as np
 
 from mocap.orientation import Array
 from sip import kinematics as kin
-from sip.band import Band
 from sip.kinematics import ROOT_P, ROOT_W
 from sip.over_frames import OverFrames
+from sip.solvers.band import Band
 from sip.terms.base import Point, add_diagonal_stencil, add_stencil, difference_stencil, squared
 
 

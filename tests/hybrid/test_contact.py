@@ -8,7 +8,7 @@ import pytest
 from hybrid import contact
 from mocap import Motion, Skeleton
 from mocap import orientation as ori
-from poser import motions
+from mocap.synthesis import motions
 
 
 def follow(

@@ -7,13 +7,14 @@ import pytest
 
 from hybrid import Tracker, TrackerSettings
 from hybrid.refinement import Refinement, smoothed
-from mocap import metrics, synthesis
 from mocap import orientation as ori
 from mocap import sensors as places
+from mocap import synthesis
 from mocap.estimator import Pose, Sample
+from mocap.evaluation import metrics
 from mocap.motion import Motion
 from mocap.skeleton import Skeleton
-from poser import motions
+from mocap.synthesis import motions
 from tests.hybrid.fake import FakeNetwork, motion_of, run, tracked
 
 

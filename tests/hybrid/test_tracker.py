@@ -14,12 +14,13 @@ from hypothesis import strategies as st
 from hybrid import Tracker, TrackerSettings, tracker
 from hybrid.motion_filter import FilterNoise
 from hybrid.refinement import NO_MEASUREMENT, NOT_CONVERGED
-from mocap import Motion, PoserError, Recording, metrics, synthesis
+from mocap import Motion, PoserError, Recording, synthesis
 from mocap import orientation as ori
 from mocap import sensors as places
 from mocap.errors import SensorError
 from mocap.estimator import Pose, Sample, samples
-from poser import motions
+from mocap.evaluation import metrics
+from mocap.synthesis import motions
 from tests.hybrid.fake import FakeNetwork, run, smooth_errors, tracked
 
 RATE_HZ = 30.0

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import torch
 
-from learned.augmentation import Augmentation
-from learned.corpus import Corpus, pack
 from learned.models import RATES, Dip, build, for_network
-from learned.settings import TrainSettings
-from learned.train import Trainer
-from learned.validation import Windowed, cut
-from learned.virtual import Windows
+from learned.training.augmentation import Augmentation
+from learned.training.corpus import Corpus, pack
+from learned.training.settings import TrainSettings
+from learned.training.trainer import Trainer
+from learned.training.validation import Windowed, cut
+from learned.training.virtual import Windows
 from mocap import orientation as ori
 from mocap import sensors as places
 from mocap import synthesis

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 import torch
 
-from learned import deviations, devices, reach
-from learned import validation as val
+from learned import devices
 from learned.features import COMBINATIONS
 from learned.models import build, for_network
-from learned.recorded import Recorded, at_rate, placed
+from learned.training import deviations, reach
+from learned.training import validation as val
+from learned.training.recorded import Recorded, at_rate, placed
 from mocap import Recording, synthesis
 from mocap import sensors as places
 from mocap.errors import PoserError

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 import torch
 
+from learned.dip.network import FeedForward, Gaussian, WaveNet
 from learned.errors import CheckpointError
 from learned.models import ARCHITECTURES, Config, Dip, Imuposer, build, for_network
-from learned.networks.dip import FeedForward, Gaussian, WaveNet
 from mocap import sensors as places
 
 

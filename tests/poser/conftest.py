@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from mocap.formats.amass import write_motion
-from poser import motions
+from mocap.synthesis import motions
 from poser.__main__ import main
 
 
@@ -34,7 +34,8 @@ def small_runs(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPat
     """Training of seconds: few windows for scalers and validation, one thread, a cache of the tests' own."""
     import torch
 
-    from learned import train, validation
+    from learned.training import trainer as train
+    from learned.training import validation
 
     monkeypatch.setattr(train, "_SCALER_BATCHES", 1)
     torch.set_num_threads(1)  # small networks only wait for each other on several

@@ -8,7 +8,7 @@ import numpy as np
 
 from mocap import sensors, synthesis
 from mocap.recording import Recording
-from poser import motions
+from mocap.synthesis import motions
 
 
 def handed_over(

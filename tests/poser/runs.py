@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from mocap.formats.amass import write_motion
-from poser import motions
+from mocap.synthesis import motions
 
 SMALL = ["--hidden", "8", "--batch", "2", "--frames", "12", "--every", "2", "--no-dropout"]
 

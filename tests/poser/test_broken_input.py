@@ -5,7 +5,6 @@ The files are those of `tests/mocap/test_broken_table.py`, every cell of it that
 
 from __future__ import annotations
 
-import importlib
 import os
 import pickle
 import subprocess
@@ -19,11 +18,8 @@ import pytest
 from scipy.io import savemat
 
 from mocap.formats.amass import write_motion
-
-MOCAP_TESTS = Path(__file__).parents[1] / "mocap"
-sys.path.insert(0, str(MOCAP_TESTS))
-table: Any = importlib.import_module("test_broken_table")
-files: Any = importlib.import_module("recording_files")
+from tests.mocap.formats import recording_files as files
+from tests.mocap.formats import test_broken_table as table
 
 Refusal = Callable[..., tuple[int, str]]
 RAW = ("native raw recording", "TotalCapture, uncalibrated", "qmt", "OpenSense", "Xsens MTw", "CSV",

@@ -14,8 +14,8 @@ from mocap import sensors as places
 from mocap.formats import native
 from mocap.recording import RawRecording
 from mocap.synthesis import NOISES, raw_recording
+from mocap.synthesis.motions import builtin
 from poser.__main__ import main
-from poser.motions import builtin
 
 
 @pytest.fixture(scope="module")

@@ -11,13 +11,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mocap import metrics, sensors, synthesis
+from mocap import sensors, synthesis
+from mocap import timeline as clock
 from mocap.errors import FormatError, PoserError, ShapeError
+from mocap.evaluation import metrics
 from mocap.formats import amass, native
 from mocap.motion import Motion
 from mocap.recording import Recording
 from mocap.skeleton import Skeleton
-from poser import clock, files, motions
+from mocap.synthesis import motions
+from poser import files
 from poser.__main__ import main
 
 Answer = Callable[..., Any]

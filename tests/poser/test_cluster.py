@@ -11,7 +11,7 @@ import pytest
 
 from mocap import sensors, synthesis
 from mocap.formats.native import write_recording
-from poser import motions
+from mocap.synthesis import motions
 from poser.__main__ import main
 
 pytest.importorskip("distributed")

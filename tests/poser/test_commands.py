@@ -11,10 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mocap import metrics, sensors
+from mocap import sensors
 from mocap.errors import SensorError
+from mocap.evaluation import metrics
 from mocap.formats import amass, bvh, native
-from poser import comparison, files, motions, options
+from mocap.synthesis import motions
+from poser import comparison, files, options
 from poser.__main__ import main
 from poser.commands import demo
 from poser.console import UsageError

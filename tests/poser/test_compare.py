@@ -10,13 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mocap import formats, metrics, sensors, synthesis
+from mocap import formats, sensors, synthesis
 from mocap.errors import PoserError
+from mocap.evaluation import metrics
 from mocap.formats.amass import write_motion
 from mocap.formats.native import FORMAT as NATIVE
 from mocap.motion import Motion
-from poser import comparison, estimators, motions, player, results, staging
+from mocap.synthesis import motions, staging
+from poser import comparison, estimators
 from poser.__main__ import main
+from poser.report import player, results
 
 FAST = ("--solver", "banded", "--methods", "sop,sip")
 

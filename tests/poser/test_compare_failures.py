@@ -16,23 +16,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mocap import metrics, sensors, synthesis
+from mocap import sensors, synthesis
 from mocap.errors import PoserError
+from mocap.evaluation import metrics
 from mocap.formats.native import read_recording, write_recording
 from mocap.motion import Motion
 from mocap.recording import Recording
-from poser import (
-    batch,
-    comparison,
-    console,
-    earlier,
-    estimators,
-    motions,
-    pictures,
-    reporting,
-    results,
-)
+from mocap.synthesis import motions
+from poser import batch, comparison, console, earlier, estimators
 from poser.__main__ import main
+from poser.report import folder as reporting
+from poser.report import pictures, results
 
 LEGS = ("left_shank", "right_shank", "pelvis")
 

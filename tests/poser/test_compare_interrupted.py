@@ -14,7 +14,7 @@ import pytest
 from mocap import formats, sensors, synthesis
 from mocap.formats.native import write_recording
 from mocap.motion import Motion
-from poser import motions
+from mocap.synthesis import motions
 
 BOUND_S = 120.0  # of a wait that takes seconds on a machine of its own
 METHODS = ("sop", "sip")

@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 import torch
 
-from learned import checkpoint, train, validation
+from learned import checkpoint
 from learned.models import build, for_network
+from learned.training import trainer as train
+from learned.training import validation
 from mocap import sensors, synthesis
 from mocap.formats.native import read_recording, write_recording
-from poser import motions
+from mocap.synthesis import motions
 from poser.__main__ import main
 
 Answer = Callable[..., Any]
@@ -80,7 +82,7 @@ def test_recordings_that_are_tracked_can_be_learnt_from(
     if serve is None:
         assert shown == []
         return
-    for where in ("learned.train", "learned.validation"):
+    for where in ("learned.training.trainer", "learned.training.validation"):
         worn = torch.cat([w for at, w in shown if at == where])
         assert set(worn.any(0).nonzero().flatten().tolist()) == serve and worn.any(1).all()
     # A combination that is not in the recording keeps what is said of its errors.

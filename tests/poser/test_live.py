@@ -21,8 +21,8 @@ from mocap import formats, sensors, synthesis
 from mocap.formats import native
 from mocap.motion import Motion
 from mocap.recording import Recording
+from mocap.synthesis import motions
 from poser import estimators as the_estimators
-from poser import motions
 from poser.__main__ import main
 from tests.poser.handovers import handed_over
 from tests.poser.live.conftest import estimators  # noqa: F401 (a fixture)

@@ -17,7 +17,8 @@ import pytest
 
 from mocap import synthesis
 from mocap.formats.native import write_recording
-from poser import commands, motions
+from mocap.synthesis import motions
+from poser import commands
 from poser.__main__ import main
 
 HEAVY = ("numpy", "scipy", "casadi", "torch", "osqp", "matplotlib", "pinocchio", "vqf", "rich")

@@ -11,13 +11,15 @@ import numpy as np
 import pytest
 import torch
 
-from learned import checkpoint, validation
+from learned import checkpoint
 from learned.models import build, for_network
+from learned.training import validation
 from mocap import sensors, synthesis
 from mocap.formats import amass, native
 from mocap.motion import Motion
 from mocap.recording import Recording
-from poser import files, motions
+from mocap.synthesis import motions
+from poser import files
 from poser.__main__ import main
 
 Answer = Callable[..., Any]

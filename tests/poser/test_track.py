@@ -16,14 +16,15 @@ import torch
 
 from hybrid import Tracker
 from learned import checkpoint
+from learned.imuposer.adam import AdamEstimator
 from learned.models import build, for_network
-from learned.refine import AdamEstimator
 from mocap import Skeleton, sensors, synthesis
 from mocap.errors import PoserError
 from mocap.estimator import samples
 from mocap.formats.native import FORMAT
 from mocap.recording import Recording
-from poser import estimators, files, motions, tracking
+from mocap.synthesis import motions
+from poser import estimators, files, tracking
 from poser.__main__ import main
 from poser.commands import track
 from tests.poser.handovers import all_five, handed_over

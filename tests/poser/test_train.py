@@ -14,12 +14,15 @@ import numpy as np
 import pytest
 import torch
 
-from learned import checkpoint, corpus, train
-from learned.export import PRECISION_ONLINE
+from learned import checkpoint
+from learned.training import corpus
+from learned.training import trainer as train
+from learned.training.export import PRECISION_ONLINE
 from mocap import sensors, synthesis
 from mocap.formats.bvh import write_motion as write_bvh
 from mocap.formats.native import write_recording
-from poser import generated, motions, training
+from mocap.synthesis import generated, motions
+from poser import training
 from poser.__main__ import main
 from poser.commands import train as train_command
 from tests.poser.runs import SMALL, three_clips, together
@@ -226,8 +229,9 @@ def test_the_projects_own_clips(
 ) -> None:
     """Without MOTION: CMU alone unless --collections says more, validated on those collections' clips."""
     monkeypatch.setenv("POSER_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("POSER_SHARED", str(tmp_path / "shared"))
     words = ["train", "dip", *SMALL, "--steps", "2"]
-    assert "holds no .bvh file" in refusal(*words, "-o", tmp_path / "none")[1]
+    assert "unpack CMU's mocap there" in refusal(*words, "-o", tmp_path / "none")[1]
     for folder, names in (
         ("cmu-daz-bvh", ("02_01", "06_01", "07_01", "08_01")),
         ("bandai2-bvh", ("a", "b", "c")),
@@ -255,7 +259,7 @@ def test_the_projects_own_clips(
     about = found["data"]
     assert found["licence"] == "MIT" and about["credit"].endswith("EIA-0196217.")
     assert (about["clips"], about["validation_clips"]) == (5, 1)
-    assert "generated 1" in about["key"] and "poser.generated" in about["what"]
+    assert "generated 1" in about["key"] and "mocap.synthesis.generated" in about["what"]
     said = refusal(*words, "-o", tmp_path / "none", "--collections", "generated")
     assert said[0] == 2 and "beside another" in said[1]
 
@@ -301,6 +305,7 @@ def test_licence_and_credit_of_the_start_are_kept(
     assert checkpoint.describe(second)["started_from"] == "strict.safetensors"
     # The project's own clips after that: nothing is lost, nothing said twice, the stricter one wins.
     monkeypatch.setenv("POSER_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("POSER_SHARED", str(tmp_path / "shared"))
     (tmp_path / "cache" / "cmu-daz-bvh").mkdir(parents=True)
     for name in ("06_01", "07_01"):
         write_bvh(tmp_path / "cache" / "cmu-daz-bvh" / f"{name}.bvh", motions.squat(2.0))
@@ -445,7 +450,7 @@ def test_two_processes_train_one_network(clips: Path, tmp_path: Path, network: l
     words = ["train", "dip", str(clips), "-o", folder, *network, "--steps", "4", "--json"]
     code = (
         "import sys\n"
-        "from learned import train\n"
+        "from learned.training import trainer as train\n"
         "train._SCALER_BATCHES = 1\n"
         "run = train.Trainer.run\n"
         "def told(self, progress=None):\n"

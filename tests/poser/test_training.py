@@ -10,7 +10,8 @@ from typing import Any
 
 import pytest
 
-from learned import checkpoint, train
+from learned import checkpoint
+from learned.training import trainer as train
 from poser import training
 from poser.__main__ import main
 from poser.console import UsageError
@@ -98,7 +99,7 @@ def test_nonsense_is_refused(
 
 CODE = """
 import sys, torch
-from learned import train
+from learned.training import trainer as train
 train._SCALER_BATCHES = 1
 torch.set_num_threads(1)
 train.bfloat16_pays = lambda device, before: {rank} == 0  # the first one measures for both

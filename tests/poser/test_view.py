@@ -19,9 +19,9 @@ from mocap import sensors, synthesis
 from mocap.errors import PoserError
 from mocap.formats.smpl import SmplMesh
 from mocap.skeleton import Skeleton
-from poser import motions
+from mocap.synthesis import motions
+from mocap.synthesis.staging import floors_of
 from poser.__main__ import main
-from poser.staging import floors_of
 from poser.viewer import stage, tracks
 from poser.viewer.live import plain
 from poser.viewer.player import Player

@@ -24,7 +24,7 @@ from mocap import sensors, synthesis
 from mocap.estimator import Pose
 from mocap.motion import Motion
 from mocap.skeleton import Skeleton
-from poser import motions
+from mocap.synthesis import motions
 from poser.viewer import stage
 from poser.viewer.live import ViewerSink
 from poser.viewer.player import Player

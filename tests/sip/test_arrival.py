@@ -8,8 +8,8 @@ import pytest
 from mocap import Skeleton, sensors, synthesis
 from mocap.orientation import Array
 from sip import Horizon, HorizonSettings, Settings
-from sip.band import Band
 from sip.model import Evidence
+from sip.solvers.band import Band
 from sip.terms.arrival import Arrival, eliminated
 from sip.terms.base import Point
 from tests.sip.conftest import wavy

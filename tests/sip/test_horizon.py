@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocap import Motion, Recording, Skeleton, metrics, sensors, synthesis
+from mocap import Motion, Recording, Skeleton, sensors, synthesis
 from mocap import orientation as ori
-from poser.motions import walk
+from mocap.evaluation import metrics
+from mocap.synthesis.motions import walk
 from sip import Horizon, HorizonSettings, PoseBelief, Settings, solve
 from sip.horizon import HorizonState, run
 from sip.model import Evidence

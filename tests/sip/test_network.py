@@ -8,10 +8,10 @@ import pytest
 from mocap import Recording, Skeleton, sensors, synthesis
 from mocap import orientation as ori
 from sip import PoseBelief, Settings, initial, solve
-from sip.band import Band
 from sip.belief import Listener
 from sip.problem import Problem, build
 from sip.sensor_kinematics import SensorKinematics
+from sip.solvers.band import Band
 from tests.sip.conftest import wavy
 
 DEVICES = ("left_wrist", "right_pocket", "head")

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocap import RawRecording, Recording, formats, metrics, sensors
+from mocap import RawRecording, Recording, formats, sensors
 from mocap import orientation as ori
 from mocap.calibration import calibrate
+from mocap.evaluation import metrics
 from mocap.solution import Solution
 from sip import Settings, solve
 

@@ -10,7 +10,7 @@ import pytest
 from mocap import Recording, sensors, synthesis
 from mocap import orientation as ori
 from mocap.errors import SolveError
-from poser.motions import walk
+from mocap.synthesis.motions import walk
 from sip import Settings, initial, solve
 from sip.prior import shipped
 from sip.windows import windows

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from mocap import Recording, Skeleton, sensors, synthesis
-from sip import Settings, banded, initial
+from sip import Settings, initial
 from sip.problem import Problem, build
+from sip.solvers import banded
 from tests.sip.conftest import wavy
 
 

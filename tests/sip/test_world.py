@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mocap import sensors, synthesis
-from poser.motions import walk
+from mocap.synthesis.motions import walk
 from sip import Settings, solve
 
 

@@ -12,7 +12,7 @@ from mocap import synthesis
 from mocap.estimator import Pose, Sample
 from mocap.recording import Recording
 from mocap.skeleton import Skeleton
-from poser import motions
+from mocap.synthesis import motions
 from poser.live.packets import Packet
 
 

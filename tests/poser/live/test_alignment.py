@@ -11,7 +11,7 @@ from mocap import calibration, sensors, synthesis
 from mocap import orientation as ori
 from mocap.errors import CalibrationError
 from mocap.recording import RawRecording
-from poser import motions
+from mocap.synthesis import motions
 from poser.live import alignment
 from poser.live.alignment import BONES, Constants, PoseWatch, to_sample
 from poser.live.assembler import Row

@@ -12,7 +12,7 @@ import pytest
 from mocap import orientation as ori
 from mocap import sensors, synthesis
 from mocap.estimator import Sample
-from poser import motions
+from mocap.synthesis import motions
 from poser.live import alignment, telling
 from poser.live.alignment import PoseWatch
 from poser.live.assembler import Assembler

@@ -12,7 +12,7 @@ from mocap import orientation as ori
 from mocap.errors import PoserError
 from mocap.estimator import Pose
 from mocap.skeleton import JOINTS, Skeleton
-from poser import motions
+from mocap.synthesis import motions
 from poser.live import addresses, vmc
 from poser.live.addresses import Address
 

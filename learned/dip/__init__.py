@@ -1,0 +1,1 @@
+"""Deep Inertial Poser (Huang et al. 2018): six sensors at 60 Hz."""

@@ -1,1 +1,0 @@
-"""The architectures: DIP's and IMUPoser's, and the DIP paper's rows for its tables."""

@@ -1,0 +1,1 @@
+"""Training: motion and virtual sensors in, weights with their description out."""

@@ -1,0 +1,19 @@
+"""Raw sensors to bones: a static pose, where the wearer faces, headings, and what is wrong with a sensor."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mocap.exports import lazy
+
+if TYPE_CHECKING:
+    from mocap.calibration.pose_facing import PoseName
+    from mocap.calibration.procedure import Calibration, calibrate
+
+__all__ = ["Calibration", "PoseName", "calibrate"]
+
+# Readers need the checks alone, not what calibration imports of scipy.
+__getattr__ = lazy(
+    __name__,
+    {"Calibration": "procedure", "calibrate": "procedure", "PoseName": "pose_facing"},
+)

@@ -1,0 +1,1 @@
+"""What may be wrong with sensors: one file a check, findings out."""
