@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from mocap import orientation as ori
 from mocap.errors import ShapeError
+from mocap.motion import Motion
 from mocap.orientation import Array
 from mocap.recording import Recording
 from mocap.skeleton import Skeleton
@@ -46,6 +47,11 @@ class PoseBelief:
 
     def __len__(self) -> int:
         return len(self.R_parent_joint)
+
+    def motion(self, rate_hz: float, skeleton: Skeleton, start_s: float = 0.0) -> Motion:
+        """The poses on the spot, as a start for a solve."""
+        place = np.zeros((len(self), 3))
+        return Motion(rate_hz, self.R_parent_joint, place, skeleton, start_s)
 
     def slice(self, start: int, stop: int) -> Self:
         """Frames start to stop-1."""

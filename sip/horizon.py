@@ -2,7 +2,8 @@
 
 A third way to solve the built problem, beside `sip.solvers.banded` and `sip.solvers.ipopt`. The frame that
 leaves the window is eliminated: what it knew becomes a quadratic on the frames that follow it and on the
-sensors' constants (`sip.terms.arrival`). A window as long as the recording, iterated, has the answer of `sip.solve`.
+sensors' constants (`sip.terms.arrival`). A window as long as the recording, iterated, has the answer of
+`sip.solve`.
 """
 
 from __future__ import annotations
@@ -118,6 +119,8 @@ class Horizon:
         self.pelvis: int | None = int(pelvis[0]) if len(pelvis) else None
         self.listener = Listener(skeleton, self.kinematics, self.joint, settings)
         probe = Evidence.blank(64, self.kinematics.S)
+        if self.model.has_contact:
+            probe = replace(probe, stands=np.zeros((64, self.model.soles.P)))
         self.reaches = sorted({t.reach for t in self.model.frame_terms(probe)})
         self.reach = self.reaches[-1]
         self.size = max(round(self.how.seconds * rate_hz), self.reach + 2)
@@ -143,13 +146,45 @@ class Horizon:
         """
         if not len(state) and not frame.ori_valid.any():
             return state
-        state = self._entered(state, frame)
-        if belief is not None and age < len(state):
-            state = self._listened(state, belief, len(state) - 1 - age)
+        state = self.grounded(self._entered(state, frame))
         steps = self.how.steps if len(state) == self.size else self.how.growing_steps
+        if belief is None or age >= len(state) or not belief.valid[0]:
+            return self._after(state, steps)
+        first = not state.heard.any()
+        state = self._listened(state, belief, len(state) - 1 - age)
+        here = self._after(state, steps)
+        if not first or len(here) == self.size:
+            return here
+        # Its first word may lie in a better valley than the prior's mean, where the window began.
+        there = self._after(self._posed(state, belief), steps)
+        return min(here, there, key=self.cost)
+
+    def grounded(self, state: HorizonState) -> HorizonState:
+        """The state in which what stands is judged by the poses as they are."""
+        evidence, point = state.evidence, state.point
+        if evidence is None or point is None or not self.model.has_contact:
+            return state
+        stands = self.model.standing(point.x, point.R_ref)
+        return replace(state, evidence=replace(evidence, stands=stands))
+
+    def cost(self, state: HorizonState) -> float:
+        """The window's, in sigmas squared."""
+        assert state.point is not None
+        return self.problem(state).cost(state.point)
+
+    def _after(self, state: HorizonState, steps: int) -> HorizonState:
         for _ in range(steps):
             state = self.improved(state)
         return state
+
+    def _posed(self, state: HorizonState, belief: PoseBelief) -> HorizonState:
+        """The state with the network's pose in every frame of the window."""
+        evidence, point = state.evidence, state.point
+        assert evidence is not None and point is not None
+        x = point.x.copy()
+        angles = ori.log(belief.R_parent_joint[0, list(self.kinematics.active)]).ravel()
+        x[:, BODY] = angles
+        return replace(state, point=self._at(x, point.R_ref, point.u, evidence))
 
     def problem(self, state: HorizonState) -> Problem:
         """The window's, as any solver takes it."""

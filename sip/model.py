@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -15,11 +16,13 @@ from sip import kinematics as kin
 from sip.belief import FrameBeliefs
 from sip.sensor_kinematics import SensorKinematics
 from sip.settings import Settings
+from sip.soles import Soles, standing
 from sip.solvers.band import Band
 from sip.terms.acceleration import Acceleration
 from sip.terms.anthropometric import Limits, PosePrior
 from sip.terms.base import Point, Term
 from sip.terms.calibration import SensorConstants
+from sip.terms.contact import Contact
 from sip.terms.network import NetworkPose
 from sip.terms.orientation import Orientation
 from sip.terms.smoothness import Gauge, LinearSmoothness, RootSmoothness
@@ -27,12 +30,16 @@ from sip.terms.smoothness import Gauge, LinearSmoothness, RootSmoothness
 CONSTANTS = 7  # per sensor: mounting (3), heading (1), bias (3)
 
 
+_MEASURED = ("R", "acc", "ori_valid", "acc_valid")
+
+
 @dataclass(frozen=True, eq=False)
 class Evidence:
     """What is known of some frames: time is the first axis of every part.
 
     R (T,S,3,3) and acc (T,S,3) m/s^2 as measured, the identity and zero where invalid; ori_valid, acc_valid
-    (T,S). belief: what a network says of the poses, or None.
+    (T,S). belief: what a network says of the poses, or None. stands: (T,P) belief that each point of the
+    soles stands until the next frame, or None.
     """
 
     R: Array
@@ -40,6 +47,7 @@ class Evidence:
     ori_valid: NDArray[np.bool_]
     acc_valid: NDArray[np.bool_]
     belief: FrameBeliefs | None = None
+    stands: Array | None = None
 
     @classmethod
     def of(cls, recording: Recording, belief: FrameBeliefs | None = None) -> Self:
@@ -60,22 +68,27 @@ class Evidence:
 
     def slice(self, start: int, stop: int) -> Self:
         """Frames start to stop-1."""
-        parts = {f.name: getattr(self, f.name) for f in fields(self)}
-        belief = parts.pop("belief")
-        cut = {name: a[start:stop] for name, a in parts.items()}
-        return replace(self, **cut, belief=belief and belief.slice(start, stop))
+        cut = slice(start, stop)
+        belief, stands = self.belief, self.stands
+        return replace(
+            self,
+            **{name: getattr(self, name)[cut] for name in _MEASURED},
+            belief=belief and belief.slice(start, stop),
+            stands=None if stands is None else stands[cut],
+        )
 
     def then(self, other: Self) -> Self:
-        """These frames and those; both have beliefs, or neither."""
-        joined = {
-            f.name: np.concatenate([getattr(self, f.name), getattr(other, f.name)])
-            for f in fields(self)
-            if f.name != "belief"
-        }
-        belief = self.belief
-        if belief is not None and other.belief is not None:
-            belief = belief.then(other.belief)
-        return replace(self, **joined, belief=belief)
+        """These frames and those; what both have."""
+        belief, stands = self.belief, self.stands
+        both = belief is not None and other.belief is not None
+        return replace(
+            self,
+            **{n: np.concatenate([getattr(self, n), getattr(other, n)]) for n in _MEASURED},
+            belief=belief.then(other.belief) if both else None,  # type: ignore[union-attr, arg-type]
+            stands=None
+            if stands is None or other.stands is None
+            else np.concatenate([stands, other.stands]),
+        )
 
 
 class Model:
@@ -126,6 +139,22 @@ class Model:
             self._constant[frames, reach] = terms, band
         return self._constant[frames, reach]
 
+    @cached_property
+    def soles(self) -> Soles:
+        """The points that may stand."""
+        return Soles(self.skeleton, self.kinematics.active, self.prior)
+
+    @property
+    def has_contact(self) -> bool:
+        """Whether feet that stand are part of the cost."""
+        return bool(np.isfinite(self.settings.sigma_contact)) and self.soles.P > 0
+
+    def standing(self, x: Array, R_ref: Array) -> Array:
+        """(T,P): what stands in these poses until the next frame; zero in the last."""
+        s, q = self.settings, self.soles.places(x, R_ref)
+        belief = standing(q, x, self.rate_hz, s.contact_height, s.contact_speed)
+        return np.concatenate([belief, np.zeros((1, self.soles.P))])
+
     @property
     def border(self) -> int:
         """Number of unknowns that live through all frames."""
@@ -152,6 +181,9 @@ class Model:
         terms += self.body
         if evidence.belief is not None:
             terms.append(NetworkPose(evidence.belief))
+        if evidence.stands is not None and len(evidence) > 1:
+            stands = evidence.stands[:-1]
+            terms.append(Contact(self.soles, stands, s.sigma_contact, self.rate_hz))
         return [t for t in terms if t.reach < len(evidence)]
 
     def terms(self, evidence: Evidence) -> list[Term]:

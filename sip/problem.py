@@ -5,7 +5,7 @@ Building and solving are two steps; the solvers (`sip.solvers.banded`, `sip.solv
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -144,8 +144,18 @@ def build(
     k = kinematics or SensorKinematics(skeleton, recording.joint, recording.placement)
     model = Model(skeleton, settings, k, recording.rate_hz, belief is not None)
     evidence = Evidence.of(recording, belief)
-    terms = model.terms(evidence) + [make(recording, k) for make in settings.extra]
-    return Problem(model, evidence, [t for t in terms if t.reach < len(recording)], fixed)
+    extra = [make(recording, k) for make in settings.extra]
+    terms = model.terms(evidence) + [t for t in extra if t.reach < len(recording)]
+    return Problem(model, evidence, terms, fixed)
+
+
+def grounded(problem: Problem, point: Point) -> Problem:
+    """The same problem with what stands judged by the poses at `point`."""
+    model, evidence = problem.model, problem.evidence
+    evidence = replace(evidence, stands=model.standing(point.x, point.R_ref))
+    known = {t.name for t in model.terms(evidence)}
+    extra = [t for t in problem.terms if t.name not in known]
+    return replace(problem, evidence=evidence, terms=model.terms(evidence) + extra)
 
 
 def reference_root(recording: Recording) -> Array | None:

@@ -35,6 +35,8 @@ class Settings:
     explain it by mounting.
     network_weight, network_memory_s, network_doubt: how a network's poses count where they are given
     (`sip.belief`); prior_weight_listening then replaces prior_weight and prior_weight_calibrating.
+    sigma_contact: m/s, of a point of the sole that stands (infinite: no contact); contact_passes: how often
+    what stands is judged anew by the poses found; contact_height (m), contact_speed (m/s): see `sip.soles`.
     max_iterations: of the banded solver, IPOPT has its own. Recordings longer than `window` frames are
     solved in windows that overlap by `overlap` frames at up to 60 Hz, and by the same time above that, as
     far as the window allows.
@@ -70,7 +72,11 @@ class Settings:
     network_weight: float = 0.1
     network_memory_s: float = 0.5
     network_doubt: float = 1.0
-    prior_weight_listening: float = 0.1
+    prior_weight_listening: float = 0.3
+    sigma_contact: float = 0.1
+    contact_passes: int = 1
+    contact_height: float = 0.04
+    contact_speed: float = 0.2
     max_iterations: int = 60
     tolerance: float = 3e-4
     coarse_hz: float = 15.0

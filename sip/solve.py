@@ -20,7 +20,7 @@ from sip import kinematics as kin
 from sip.belief import FrameBeliefs, Listener, PoseBelief
 from sip.kinematics import ROOT_P
 from sip.model import CONSTANTS
-from sip.problem import build, reference_root
+from sip.problem import Problem, build, grounded, reference_root
 from sip.sensor_kinematics import SensorKinematics
 from sip.settings import Settings
 from sip.solvers import banded, ipopt
@@ -127,9 +127,14 @@ def _solve_window(
     problem = build(piece, skeleton, settings, kinematics, past, said)
     if cold:
         result = ipopt.minimise(
-            problem, x, R_ref, u, False, progress=_teller(tell, 0.3, 1, "IPOPT")
+            problem, x, R_ref, u, False, progress=_teller(tell, 0.3, 0.7, "IPOPT")
         )
         iterations += result.iterations
+        for _ in range(_judgings(problem)):
+            p, problem = result.point, grounded(problem, result.point)
+            teller = _teller(tell, 0.7, 1, "IPOPT, feet that stand")
+            result = ipopt.minimise(problem, p.x, p.R_ref, p.u, False, progress=teller)
+            iterations += result.iterations
     else:
         result = banded.minimise(problem, x, R_ref, u, progress=_teller(tell, 0.3, 0.7, "banded"))
         iterations += result.iterations
@@ -145,6 +150,11 @@ def _solve_window(
                 problem, x, R_ref, u, progress=_teller(tell, 0.3, 0.7, "banded, tempered")
             )
             iterations += result.iterations
+        for _ in range(_judgings(problem)):
+            p, problem = result.point, grounded(problem, result.point)
+            teller = _teller(tell, 0.6, 0.7, "banded, feet that stand")
+            result = banded.minimise(problem, p.x, p.R_ref, p.u, progress=teller)
+            iterations += result.iterations
         if settings.solver == "ipopt":
             # IPOPT's barrier starts well from a point that is optimal within the bounds, and only from one.
             p = result.point
@@ -157,6 +167,11 @@ def _solve_window(
             )
             iterations += result.iterations
     return part_of(problem, settings, window, result, iterations)
+
+
+def _judgings(problem: Problem) -> int:
+    """How often what stands is judged anew."""
+    return problem.settings.contact_passes if problem.model.has_contact else 0
 
 
 def _excess(u: Array, settings: Settings) -> float:

@@ -37,7 +37,7 @@ def fed(h: Horizon, evidence: Evidence, state: HorizonState | None = None) -> Ho
 @pytest.mark.parametrize(
     ("settings", "names"),
     [
-        ({}, sensors.SIX),
+        ({"sigma_contact": np.inf}, sensors.SIX),
         ({"terms": "sop"}, ("head", "left_wrist")),
         ({"self_calibration": True, "correlation_s": 4.0}, ("left_wrist", "head", "pelvis")),
         ({"smooth_order": 3, "smooth_angle": 500.0, "smooth_root": 500.0}, ("head", "pelvis")),
