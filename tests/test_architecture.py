@@ -91,7 +91,6 @@ def circle(graph: dict[str, set[str]]) -> list[str]:
 
 # Arrows that may close a circle, each with its reason.
 EXCUSED = {
-    ("sip.settings", "sip.problem"),  # the type of what the user's own terms are given
 }
 
 
