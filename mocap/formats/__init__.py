@@ -97,7 +97,7 @@ class Format:
 # In the order of trial: the first whose suffix and sniff both fit reads the file.
 _MODULES = (
     "native", "amass", "bvh", "asfamc", "dip", "totalcapture", "qmt", "opensense", "xsens_mtw", "mvnx",
-    "csv", "gltf",
+    "phones", "csv", "gltf",
 )  # fmt: skip
 
 

@@ -5,10 +5,11 @@ Joint frames, units and rest pose differ from tool to tool; `mocap.formats._reta
 
 from __future__ import annotations
 
-import io
 import re
+import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -40,11 +41,16 @@ class BvhJoint:
 
 @dataclass(frozen=True, eq=False)
 class BvhFile:
-    """A parsed file: joints (parents first) and `values` (T, total channels), degrees and file units."""
+    """A parsed file: joints (parents first) and `values` (T, total channels), degrees and file units.
+
+    assumptions, warnings: what the text left open or got wrong, in sentences.
+    """
 
     joints: tuple[BvhJoint, ...]
     rate_hz: float
     values: Array
+    assumptions: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -56,8 +62,23 @@ class BvhFile:
 
     def columns(self, joint: int) -> slice:
         """Where the channels of that joint lie in `values`."""
-        start = sum(len(j.channels) for j in self.joints[:joint])
-        return slice(start, start + len(self.joints[joint].channels))
+        return slice(self._starts[joint], self._starts[joint + 1])
+
+    @cached_property
+    def _starts(self) -> list[int]:
+        return np.cumsum([0, *(len(j.channels) for j in self.joints)]).tolist()
+
+    @cached_property
+    def unmoved(self) -> frozenset[int]:
+        """Joints below the root whose position channels are all zero although their OFFSET is not."""
+        found = []
+        for i, j in enumerate(self.joints):
+            at = [k for k, c in enumerate(j.channels) if c[1:] == "position"]
+            if j.parent >= 0 and at and j.offset.any():
+                start = self.columns(i).start
+                if not self.values[:, [start + k for k in at]].any():
+                    found.append(i)
+        return frozenset(found)
 
     def rotations(self, joints: Sequence[int]) -> Array:
         """(T,len(joints),3,3): R_parent_joint, the product of a joint's rotations in the order listed."""
@@ -84,10 +105,13 @@ class BvhFile:
         """(T,3): the joint in its parent's frame, file units.
 
         A position channel replaces that component of OFFSET (it is not added): so Blender reads, so
-        Bandai's files are meant, and where OFFSET is zero the two readings agree.
+        Bandai's files are meant, and where OFFSET is zero the two readings agree. Positions that are zero
+        throughout, below the root, were never filled in: there the OFFSET holds.
         """
         j = self.joints[joint]
         out = np.tile(j.offset, (len(self.values), 1))
+        if joint in self.unmoved:
+            return out
         values = self.values[:, self.columns(joint)]
         for i, c in enumerate(j.channels):
             if c[1:] == "position":
@@ -119,11 +143,11 @@ def parse(path: Path, data: bytes) -> BvhFile:
         raise FormatError(path, "no line MOTION: the file is cut short or is not BVH")
     joints = _hierarchy(path, data[: cut.start()].decode("utf-8-sig", errors="replace"))
     line = data.count(b"\n", 0, cut.start()) + 1
-    frames, rate, body, line = _motion_header(path, data[cut.end() :], line)
+    head = _motion_header(path, data[cut.end() :], line)
     columns = sum(len(j.channels) for j in joints)
     if columns == 0:
         raise FormatError(path, "no joint has a channel, so the file holds no motion")
-    values = _numbers(path, body, frames, columns, line)
+    values, doubts = _numbers(path, head, columns)
     bad = ~np.isfinite(values)
     if bad.any():
         t, c = (int(i) for i in np.argwhere(bad)[0])
@@ -133,7 +157,11 @@ def parse(path: Path, data: bytes) -> BvhFile:
     if bad.any():
         t, c = (int(i) for i in np.argwhere(bad)[0])
         raise FormatError(path, f"found the value {values[t, c]:g}", _column_name(joints, t, c))
-    return BvhFile(joints, rate, values)
+    file = BvhFile(joints, head.rate_hz, values, head.assumptions, doubts)
+    if file.unmoved:
+        said = f"the positions of {len(file.unmoved)} joints are all zero, so their OFFSETs hold"
+        file = replace(file, assumptions=(*file.assumptions, said))
+    return file
 
 
 def _column_name(joints: tuple[BvhJoint, ...], frame: int, column: int) -> str:
@@ -213,12 +241,6 @@ def _hierarchy(path: Path, text: str) -> tuple[BvhJoint, ...]:
         raise tokens.fail(f"{len(stack)} closing braces are missing at the end of the hierarchy")
     if not joints:
         raise tokens.fail("the hierarchy has no ROOT")
-    names = [j.name for j in joints if j.channels]
-    doubled = (
-        sorted({n for n in names if names.count(n) > 1}) if len(set(names)) < len(names) else []
-    )
-    if doubled:
-        raise FormatError(path, f"joint name {doubled[0]!r} occurs more than once")
     return tuple(joints)
 
 
@@ -263,51 +285,105 @@ _HEADER = re.compile(
 )
 
 
-def _motion_header(path: Path, data: bytes, line: int) -> tuple[int, float, bytes, int]:
-    """Frame count, rate in Hz, the bytes of the numbers, the line number they begin at."""
+@dataclass(frozen=True)
+class _Head:
+    """What stands between MOTION and the numbers; body: their bytes, line: the number of its first."""
+
+    frames: int
+    rate_hz: float
+    body: bytes
+    line: int
+    assumptions: tuple[str, ...]
+
+
+def _motion_header(path: Path, data: bytes, line: int) -> _Head:
     match = _HEADER.match(data)
     if match is None:
         raise FormatError(path, "'Frames:' and 'Frame Time:' were expected", f"line {line + 1}")
     count, seconds = (match[i].decode("ascii", errors="replace") for i in (1, 2))
     if not count.isdecimal() or len(count) > 12 or int(count) == 0:
         raise FormatError(path, f"Frames is {count[:40]!r}, expected a count above zero")
-    try:
-        frame_time = float(seconds)
-    except ValueError:
-        raise FormatError(path, f"Frame Time is {seconds[:40]!r}, expected seconds") from None
-    if not 1e-4 <= frame_time <= 1.0:
-        raise FormatError(path, f"Frame Time is {seconds[:40]} s, expected 0.0001 to 1 s")
+    rate, said = _rate(path, seconds)
     after = line + data.count(b"\n", 0, match.end())
-    return int(count), rate_of(seconds), data[match.end() :], after
+    return _Head(int(count), rate, data[match.end() :], after, said)
 
 
-def rate_of(frame_time: str) -> float:
-    """Hz of a printed frame time: the usual rate that rounds to these digits, else the inverse."""
-    seconds = float(frame_time)
+def _rate(path: Path, text: str) -> tuple[float, tuple[str, ...]]:
+    """Hz of a Frame Time in s, else in ms, and what was assumed."""
+    try:
+        frame_time = float(text)
+    except ValueError:
+        raise FormatError(path, f"Frame Time is {text[:40]!r}, expected seconds") from None
+    if 1e-4 <= frame_time <= 1.0:
+        return rate_of(text)
+    if 1.0 < frame_time <= 1000.0:
+        rate, _ = rate_of(text, 1000.0)
+        return rate, (f"Frame Time is {text[:40]}, read as milliseconds: {rate:.6g} Hz",)
+    raise FormatError(path, f"Frame Time is {text[:40]} s, expected 0.0001 to 1 s")
+
+
+def rate_of(frame_time: str, per_second: float = 1.0) -> tuple[float, tuple[str, ...]]:
+    """Hz of a printed frame time, and what was assumed: the usual rate that rounds to these digits, or whose
+    further digits were cut off (0.0083 of 120 Hz), else the inverse.
+
+    per_second: 1000 where the time is in ms.
+    """
+    value = float(frame_time)
     digits = len(frame_time.partition(".")[2]) if "e" not in frame_time.lower() else 12
-    fits = [r for r in RATES if abs(1 / r - seconds) <= 0.5000001 * 10.0**-digits + 1e-12]
-    # Truncated instead of rounded digits are common too (.0083333).
-    return min(fits, key=lambda r: abs(1 / r - seconds)) if fits else 1 / seconds
+    step = 10.0**-digits
+    exact = [r for r in RATES if abs(per_second / r - value) <= 0.5000001 * step + 1e-12]
+    cut = [r for r in RATES if 0 <= per_second / r - value < step]
+    fits = exact or cut
+    if not fits:
+        return per_second / value, ()
+    # Whole rates before 30000 / 1001 and its like, which need their digits to be meant.
+    best = min(abs(per_second / r - value) for r in fits)
+    near = [r for r in fits if r == round(r) and abs(per_second / r - value) < best + step / 4]
+    rate = min(near or fits, key=lambda r: abs(per_second / r - value))
+    if abs(rate * value / per_second - 1) < 1e-3:
+        return rate, ()
+    return rate, (f"Frame Time {frame_time} is {rate:.6g} Hz, of a time with few digits",)
 
 
-def _numbers(path: Path, body: bytes, frames: int, columns: int, line: int) -> Array:
-    """The (frames, columns) numbers; one frame a line, as BVH demands."""
-    per_line = _words_per_line(body)
-    rows = np.flatnonzero(per_line)
-    odd = np.flatnonzero(per_line[rows] != columns)
-    if len(odd):
-        k = int(odd[0])
+def _numbers(path: Path, head: _Head, columns: int) -> tuple[Array, tuple[str, ...]]:
+    """The (frames, columns) numbers, and doubts. Numbers count, not the lines that they stand on."""
+    count = _words_per_line(head.body)
+    whole, rest = divmod(int(count.sum()), columns)
+    last = int(np.flatnonzero(count)[-1]) if count.any() else 0
+    if rest or not whole:
+        rows = np.flatnonzero(count)
+        odd = rows[count[rows] != columns]
+        at = int(odd[0]) if len(odd) and len(odd) < len(rows) / 2 else last
+        frame = int(count[:at].sum()) // columns
+        here = int(count[at]) if len(count) else 0
         raise FormatError(
             path,
-            f"found {per_line[rows[k]]} numbers, expected {columns} (one per channel)",
-            f"line {line + int(rows[k])}, frame {k}",
+            f"found {here} numbers, expected {columns} (one per channel), {count.sum()} in all",
+            f"line {head.line + at}, frame {frame}",
         )
-    if len(rows) != frames:
-        raise FormatError(path, f"found {len(rows)} frames, expected {frames} (its 'Frames:' line)")
-    try:
-        return np.loadtxt(io.BytesIO(body), dtype=np.float64, comments=None, ndmin=2)
-    except ValueError:
-        raise _not_a_number(path, body, columns, line) from None
+    values = _parsed(head.body)
+    if len(values) != whole * columns:
+        raise _not_a_number(path, head.body, head.line)
+    doubts: tuple[str, ...] = ()
+    if whole != head.frames:
+        # One off is a count from zero or of an end; anything else is a file cut short or joined.
+        if abs(whole - head.frames) > 1:
+            raise FormatError(
+                path, f"found {whole} frames, expected {head.frames} (its 'Frames:' line)"
+            )
+        doubts = (f"holds {whole} frames, its 'Frames:' line says {head.frames}: read as they are",)
+    return values.reshape(whole, columns), doubts
+
+
+def _parsed(body: bytes) -> Array:
+    """The numbers up to the first word that is none, without a Python object for each."""
+    with warnings.catch_warnings():
+        # At such a word numpy warns or raises, by its version.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        try:
+            return np.fromstring(body, dtype=np.float64, sep=" ")  # type: ignore[call-overload]
+        except ValueError:
+            return np.empty(0)
 
 
 def _words_per_line(body: bytes) -> np.ndarray:
@@ -319,7 +395,7 @@ def _words_per_line(body: bytes) -> np.ndarray:
     return np.diff(np.searchsorted(starts, ends), prepend=0)
 
 
-def _not_a_number(path: Path, body: bytes, columns: int, line: int) -> FormatError:
+def _not_a_number(path: Path, body: bytes, line: int) -> FormatError:
     for n, row in enumerate(body.split(b"\n")):
         for word in row.split():
             try:

@@ -22,7 +22,6 @@ from mocap.recording import gaps
 Names = tuple[str, ...]
 ROTATION_TOLERANCE = 0.02  # text files round to 3 or 4 decimals
 QUATERNION_TOLERANCE = 0.05
-MAX_GROWTH = 4  # a gap-filled time grid holds at most this many times the samples of the file
 
 
 def quiet(
@@ -78,50 +77,6 @@ def quaternions(
             path, f"quaternion of norm {norm[t, s]:.3g}, expected 1", at(sensors, t, s, what)
         )
     return ori.from_quat(q, scalar_first), int(zero.sum())
-
-
-def grid(path: Path, t: Array, where: str = "time") -> tuple[float, NDArray[np.int64], list[str]]:
-    """Rate in Hz, the frame of each time stamp on a grid of that rate, and warnings.
-
-    t (N,) s must rise. A step that is a whole multiple of the common one leaves samples missing;
-    stamps may jitter by less than half a step around the grid. Raises FormatError otherwise.
-    """
-    if len(t) < 2:
-        raise FormatError(path, "fewer than two samples", where)
-    if not (np.abs(t) < 1e12).all():
-        k = int(np.argmin(np.abs(t) < 1e12))
-        raise FormatError(path, f"is {t[k]}, expected seconds", f"frame {k}, {where}")
-    step = np.diff(t)
-    if (step <= 0).any():
-        k = int(np.argmax(step <= 0)) + 1
-        raise FormatError(
-            path, f"{t[k]:g} s after {t[k - 1]:g} s, must rise", f"frame {k}, {where}"
-        )
-    # The mean over steps without a gap: stamps rounded to 0.01 s have a median step that is wrong.
-    usual = float(step[step < 1.5 * np.median(step)].mean())
-    jumps = np.maximum(np.rint(step / usual), 1)
-    if jumps.sum() > MAX_GROWTH * len(t) + 10:
-        k = int(np.argmax(step)) + 1
-        raise FormatError(
-            path, f"a gap of {step.max():.3g} s at steps of {usual:.3g} s", f"frame {k}, {where}"
-        )
-    frames = np.r_[0, np.cumsum(jumps)].astype(np.int64)
-    slope, start = np.polyfit(frames, t - t[0], 1)
-    off = np.abs(t - t[0] - (start + slope * frames)) / slope
-    if off.max() > 0.5:
-        k = int(np.argmax(np.abs(step - jumps * usual))) + 1
-        raise FormatError(
-            path,
-            f"a step of {step[k - 1]:.4g} s where {usual:.4g} s is usual, expected a constant rate",
-            f"frame {k}, {where}",
-        )
-    doubts = []
-    if off.max() > 0.1:
-        doubts.append(f"{where}: stamps jitter by up to {off.max():.0%} of a step, read as even")
-    lost = int(frames[-1]) + 1 - len(t)
-    if lost:
-        doubts.append(f"{where}: {lost} of {frames[-1] + 1} samples are missing")
-    return float(f"{1 / slope:.9g}"), frames, doubts
 
 
 def gap_report(valid: NDArray[np.bool_], sensors: Names) -> list[str]:

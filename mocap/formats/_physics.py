@@ -32,9 +32,11 @@ from mocap.formats._checks import gap_report, half_report
 from mocap.orientation import GRAVITY, Array
 from mocap.recording import RawRecording, Recording
 from mocap.seats import second_difference, sensor_positions
+from mocap.sensors import PLACES
 
 LIMB_SPEED = 6.0  # m/s: between two ends of a swing
 TILTED_DEG = 60.0  # mean acceleration this far from upright is no movement and no bad calibration
+SURELY_UP = 0.9  # of the mean force along an axis: within 26 deg of it
 LIVELY = 40.0  # m/s^2: no body's acceleration, in the median over time and sensors
 ALIKE = 0.5  # correlation of acc_world with the reference's, either way: one is the other, scaled
 
@@ -60,6 +62,28 @@ def raw(path: Path, rec: RawRecording) -> list[str]:
     doubts += _accelerometer(path, rec)
     doubts += _gyroscope(path, rec)
     return doubts + _up(path, rec)
+
+
+def upright(R: Array, acc: Array, documented: str) -> tuple[Array, str]:
+    """R_world_sensor (T,S,3,3) of a file in our y-up world, and what was assumed.
+
+    documented: "z-up" or "y-up", what the format says. Where the specific force acc (T,S,3) of all sensors
+    together clearly stands along the other axis, that one is up: hand-made and converted files are.
+    """
+    force = np.einsum("tsij,tsj->tsi", R, acc).reshape(-1, 3)
+    force = force[np.isfinite(force).all(-1)]
+    mean = force.mean(axis=0) if len(force) else np.zeros(3)
+    size = float(np.linalg.norm(mean))
+    axes = {"y-up": 1, "z-up": 2}
+    other = next(a for a in axes if a != documented)
+    against = size > 0.5 * GRAVITY and mean[axes[other]] > SURELY_UP * size
+    world = other if against else documented
+    said = f"the world of the file is {world}, ours y-up"
+    if against:
+        said = (
+            f"gravity is along {other[0]} in the file's world: read as {world}, against its format"
+        )
+    return (R if world == "y-up" else ori.R_YUP_ZUP @ R), said
 
 
 def assumed(rec: RawRecording) -> tuple[str, ...]:
@@ -97,7 +121,7 @@ def _accelerometer(path: Path, rec: RawRecording) -> list[str]:
         if when == "when slow" and size < 3 and mean[s] < 0.25 * size:
             size, when = mean[s], "on average"  # what the orientation turns cancels: no gravity
         elif when == "when slow" and size < 3 and np.isnan(mean[s]) and _free(rec, s, size):
-            raise FormatError(path, f"{size:.3g} {when}{_FREE}", where)
+            raise FormatError(path, f"{size:.3g} {when}{FREE}", where)
         # A sensor that never rests reads up to a few g; its unit is wrong where none could be.
         off = abs(size / GRAVITY - 1) > 0.15 if when == "when still" else bool(_guess(size))
         if off:
@@ -129,7 +153,10 @@ def _free(rec: RawRecording, s: int, size: float) -> bool:
     return size < KEPT * unit_checks.still_gravity(rec.gyr[ok, s], rec.acc[ok, s])[0]
 
 
-_FREE = ", so gravity was removed, and raw acceleration must hold it"
+FREE = (
+    ", so gravity was removed: export the acceleration with gravity, or the orientation (quat_w to quat_z) "
+    "beside it"
+)
 
 
 def _guess(size: float) -> str:
@@ -140,7 +167,7 @@ def _guess(size: float) -> str:
         return ", so it was m/s^2 already (--units m/s^2)"
     if abs(size - 1000) < 300:
         return ", so the unit is mg"
-    return _FREE if size < 0.5 else ""
+    return FREE if size < 0.5 else ""
 
 
 def _swing(rec: RawRecording | Recording) -> float:
@@ -189,7 +216,8 @@ def _up(path: Path, rec: RawRecording) -> list[str]:
     if not wrong:
         return []
     named: dict[str | None, list[str]] = {}
-    for f in check_sensors(rec):
+    known = tuple(n for n in rec.sensors if n in PLACES)
+    for f in check_sensors(rec.select(known)) if known else ():
         if f.severity == "error":
             named.setdefault(f.sensor, []).append(sentence(f))
     doubts: list[str] = []

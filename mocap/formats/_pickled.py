@@ -54,6 +54,15 @@ def numbers(path: Path, value: Any, where: str) -> Array:
     return value.astype(float)
 
 
+def plain(path: Path, value: Any, name: str) -> np.ndarray:
+    """A field as an array of numbers or a single number; raises FormatError for anything else."""
+    if isinstance(value, bool | int | float):
+        return np.array(value, float)
+    if isinstance(value, np.ndarray | np.generic) and np.asarray(value).dtype.kind in "fiub":
+        return np.asarray(value)
+    raise FormatError(path, f"is a {type(value).__name__}, expected numbers", f"field {name!r}")
+
+
 def body(options: Options) -> Skeleton:
     """The body that the user told: an SMPL file, a height, or the table's."""
     if options.smpl is not None:

@@ -143,13 +143,8 @@ def assign(source: Source) -> Roles:
     Raises FormatError naming the limbs that no joint name fits, or that are not on one chain.
     """
     named = _joint_names.match(source.names, source.given)
-    missing = [j for j in _joint_names.REQUIRED if j not in named]
-    if missing:
-        shown = ", ".join(n for n in source.names if n)
-        raise FormatError(
-            source.path,
-            f"no joint was recognised as {', '.join(missing)} (the file names {shown[:160]})",
-        )
+    if any(j not in named for j in _joint_names.REQUIRED):
+        raise FormatError(source.path, _joint_names.unmatched(source.names, named))
     joint = {INDEX[name]: i for name, i in named.items()}
     _check_chains(source, joint)
     legs, arms = (

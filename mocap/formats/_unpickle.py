@@ -23,6 +23,9 @@ import numpy as np
 from mocap.errors import FormatError
 
 MAX_BYTES = 2 << 30
+MAX_INTEGER = 32  # bytes: sizes and counts take 8
+MAX_AXES = 32
+_KEYS = (str, bytes, int, float, bool, type(None), np.generic)
 _PLAIN = re.compile(r"[<>|=]?(?:[fiucbSUO?]\d{0,7}|bool)")
 _NDARRAY = "numpy.ndarray"  # stands for the class, and cannot be called
 # Instructions that make instances of classes, or reach outside the pickle.
@@ -123,6 +126,73 @@ class _Unpickler(pickle._Unpickler):
             raise EOFError
         self.append(bytes(data))  # type: ignore[attr-defined]
 
+    def plain_key(self, key: Any) -> Any:
+        """A key or member as it is. Raises FormatError for a container: hashing nested ones may never end."""
+        if not isinstance(key, _KEYS) or isinstance(key, np.ndarray):
+            found = type(key).__name__
+            raise FormatError(self.path, f"has a {found} as a key; only plain values are keys")
+        return key
+
+    def set_item(self) -> None:
+        """SETITEM: one pair into a dictionary."""
+        value = self.stack.pop()
+        key = self.plain_key(self.stack.pop())
+        self._target(dict)[key] = value
+
+    def set_items(self) -> None:
+        """SETITEMS: pairs into a dictionary."""
+        items = self.pop_mark()  # type: ignore[attr-defined]
+        target = self._target(dict)
+        for k in range(0, len(items), 2):
+            target[self.plain_key(items[k])] = items[k + 1]
+
+    def make_dict(self) -> None:
+        """DICT: a dictionary of the pairs since the mark."""
+        items = self.pop_mark()  # type: ignore[attr-defined]
+        pairs = zip(items[::2], items[1::2], strict=True)
+        self.stack.append({self.plain_key(k): v for k, v in pairs})
+
+    def add_items(self) -> None:
+        """ADDITEMS: members into a set."""
+        items = self.pop_mark()  # type: ignore[attr-defined]
+        self._target(set).update(self.plain_key(x) for x in items)
+
+    def frozen_set(self) -> None:
+        """FROZENSET: of the members since the mark."""
+        items = self.pop_mark()  # type: ignore[attr-defined]
+        self.stack.append(frozenset(self.plain_key(x) for x in items))
+
+    def _target(self, kind: type) -> Any:
+        """The container on top, which must be of this kind."""
+        if not isinstance(self.stack[-1], kind):
+            self.refuse()
+        return self.stack[-1]
+
+    def long_number(self) -> None:
+        """LONG1: an integer of at most MAX_INTEGER bytes."""
+        self._long(self.read(1)[0])  # type: ignore[attr-defined]
+
+    def longer_number(self) -> None:
+        """LONG4: the same."""
+        (size,) = struct.unpack("<i", self.read(4))  # type: ignore[attr-defined]
+        self._long(size)
+
+    def _long(self, size: int) -> None:
+        if not 0 <= size <= MAX_INTEGER:
+            raise FormatError(self.path, f"holds an integer of {size} bytes, at most {MAX_INTEGER}")
+        data = self.read(size)  # type: ignore[attr-defined]
+        self.append(int.from_bytes(data, "little", signed=True))  # type: ignore[attr-defined]
+
+    def text_number(self) -> None:
+        """INT and LONG of protocol 0: digits on a line."""
+        line = self.readline()[:-1]  # type: ignore[attr-defined]
+        if line in (b"00", b"01"):
+            self.append(line == b"01")  # type: ignore[attr-defined]
+            return
+        if len(line) > 3 * MAX_INTEGER:
+            raise FormatError(self.path, f"holds an integer of {len(line)} digits")
+        self.append(int(line.rstrip(b"L") or b"0", 10))  # type: ignore[attr-defined]
+
 
 for _name in _REFUSED:
     _Unpickler.dispatch[getattr(pickle, _name)[0]] = _Unpickler.refuse
@@ -130,6 +200,15 @@ _Unpickler.dispatch[pickle.NEWOBJ[0]] = _Unpickler.make
 _Unpickler.dispatch[pickle.REDUCE[0]] = _Unpickler.reduce
 _Unpickler.dispatch[pickle.BUILD[0]] = _Unpickler.build
 _Unpickler.dispatch[pickle.BYTEARRAY8[0]] = _Unpickler.byte_array
+_Unpickler.dispatch[pickle.SETITEM[0]] = _Unpickler.set_item
+_Unpickler.dispatch[pickle.SETITEMS[0]] = _Unpickler.set_items
+_Unpickler.dispatch[pickle.DICT[0]] = _Unpickler.make_dict
+_Unpickler.dispatch[pickle.ADDITEMS[0]] = _Unpickler.add_items
+_Unpickler.dispatch[pickle.FROZENSET[0]] = _Unpickler.frozen_set
+_Unpickler.dispatch[pickle.LONG1[0]] = _Unpickler.long_number
+_Unpickler.dispatch[pickle.LONG4[0]] = _Unpickler.longer_number
+_Unpickler.dispatch[pickle.INT[0]] = _Unpickler.text_number
+_Unpickler.dispatch[pickle.LONG[0]] = _Unpickler.text_number
 
 
 class _Maker:
@@ -178,7 +257,9 @@ def _set_order(dtype: np.dtype[Any], state: Any) -> None:
 
 
 def _count(shape: Any) -> int:
-    if not isinstance(shape, tuple) or not all(type(n) is int and n >= 0 for n in shape):
+    if not isinstance(shape, tuple) or len(shape) > MAX_AXES:
+        raise TypeError
+    if not all(type(n) is int and 0 <= n <= MAX_BYTES for n in shape):
         raise TypeError
     return math.prod(shape)
 
@@ -228,6 +309,18 @@ def _no_bytes() -> bytes:
     return b""
 
 
+def _set(members: Any = ()) -> set[Any]:
+    """set of plain values, as Python 2 pickles it."""
+    if not isinstance(members, list | tuple) or not all(isinstance(x, _KEYS) for x in members):
+        raise TypeError
+    return set(members)
+
+
+def _frozen(members: Any = ()) -> frozenset[Any]:
+    """frozenset of plain values."""
+    return frozenset(_set(members))
+
+
 def _ordered(*_: Any) -> OrderedDict[Any, Any]:
     return OrderedDict()
 
@@ -241,11 +334,11 @@ _KNOWN: dict[str, Any] = {
     "_codecs.encode": _encode,
     "collections.OrderedDict": _ordered,
     "__builtin__.bytes": _no_bytes,
-    "__builtin__.set": set,
-    "builtins.set": set,
-    "__builtin__.frozenset": frozenset,
-    "builtins.frozenset": frozenset,
+    "__builtin__.set": _set,
+    "builtins.set": _set,
+    "__builtin__.frozenset": _frozen,
+    "builtins.frozenset": _frozen,
 }
 _CALLABLE: tuple[Callable[..., Any], ...] = (
-    _dtype, _array, _scalar, _from_buffer, _encode, _no_bytes, _ordered, set, frozenset, _reconstructor,
+    _dtype, _array, _scalar, _from_buffer, _encode, _no_bytes, _ordered, _set, _frozen, _reconstructor,
 )  # fmt: skip

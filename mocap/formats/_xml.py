@@ -11,6 +11,8 @@ from mocap.errors import FormatError
 from mocap.formats._files import check_regular
 
 MAX_TEXT = 1 << 22  # characters of one element
+MAX_TAG = 1 << 20  # bytes of one tag with its attributes, or one comment
+MAX_DEPTH = 100
 _CHUNK = 1 << 16
 
 
@@ -31,7 +33,7 @@ class _Collector:
         self.path, self.wanted = path, wanted
         self.ready: list[Element] = []
         self.parts: list[str] = []
-        self.size = 0
+        self.size = self.depth = 0
         self.parser = expat.ParserCreate(namespace_separator=" ")
         self.parser.buffer_text = True
         self.parser.StartElementHandler = self.start
@@ -43,10 +45,14 @@ class _Collector:
 
     def start(self, name: str, attributes: dict[str, str]) -> None:
         self.parts, self.size = [], 0
+        self.depth += 1
+        if self.depth > MAX_DEPTH:
+            raise FormatError(self.path, f"elements lie over {MAX_DEPTH} deep", self._line())
         line = self.parser.CurrentLineNumber
         self.ready.append(Element(name.rpartition(" ")[2], line, attributes))
 
     def end(self, name: str) -> None:
+        self.depth -= 1
         tag = name.rpartition(" ")[2]
         text = "".join(self.parts) if tag in self.wanted else ""
         self.parts, self.size = [], 0
@@ -80,6 +86,11 @@ def elements(path: Path, wanted: frozenset[str]) -> Iterator[Element]:
             chunk = f.read(_CHUNK)
             try:
                 collector.parser.Parse(chunk, not chunk)
+                # Expat keeps what is not whole yet and looks at it again with every chunk, which takes time
+                # that grows with the square of its length.
+                if f.tell() - collector.parser.CurrentByteIndex > MAX_TAG + _CHUNK:
+                    where = f"line {collector.parser.CurrentLineNumber}"
+                    raise FormatError(path, f"a tag or comment of over {MAX_TAG} bytes", where)
             except expat.ExpatError as e:
                 what = expat.ErrorString(e.code)
                 raise FormatError(path, f"broken XML: {what}", f"line {e.lineno}") from e

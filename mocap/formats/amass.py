@@ -1,5 +1,7 @@
 """AMASS motion files: SMPL poses in a numpy archive, z up; also how this project stores motions.
 
+Read under the names of other tools too, and from pickles (`_smpl_fields`).
+
 `trans` is SMPL's: the pelvis joint lies at J0 + trans, where J0, the rest pelvis of the file's body, does
 not turn with the world. With A = `R_ZUP_YUP` (ours to AMASS's world):
 
@@ -17,22 +19,26 @@ import numpy as np
 
 from mocap import orientation as ori
 from mocap.errors import FormatError, PoserError, ShapeError
-from mocap.formats import Content, Document, Format, Options, _checks, _npz, _upright
+from mocap.formats import (
+    Content,
+    Document,
+    Format,
+    Options,
+    _checks,
+    _npz,
+    _pickled,
+    _smpl_fields,
+    _upright,
+)
 from mocap.formats._files import write_aside
-from mocap.formats._pickled import LARGEST_ANGLE
-from mocap.motion import Motion, check_rate
-from mocap.orientation import Array
+from mocap.motion import Motion
 from mocap.skeleton import JOINTS, PARENTS, Skeleton
 
-RATES = ("mocap_framerate", "mocap_frame_rate")  # the second in the SMPL-X releases
-_READ = ("poses", "trans", "betas", "height", "offsets", *RATES)
+_READ = (*_smpl_fields.READ, "height", "offsets")
 _WRITTEN = ("poses", "trans", "betas", "gender", "mocap_framerate")
-# First columns of our joints 22 and 23 by the number of columns. SMPL+H has 15 joints a hand, the first
-# of which takes the place of SMPL's hand joint; SMPL-X has jaw and eyes before them.
-HANDS = {72: (66, 69), 156: (66, 111), 165: (75, 120)}
+HANDS = (66, 111)  # first columns of our joints 22 and 23 in SMPL+H's, which are written
 COLUMNS = 156
 FASTEST = 15.0  # m/s: no runner is, even for a moment
-FARTHEST = 1e5  # m: a translation beyond it is no person's
 
 
 def read_motion(path: str | Path, options: Options | None = None) -> Motion:
@@ -43,7 +49,7 @@ def read_motion(path: str | Path, options: Options | None = None) -> Motion:
 
 
 def read(path: Path, options: Options) -> Document:
-    """The motion of an AMASS file: `poses` (T,72 | 156 | 165) rad, `trans` (T,3) m, a frame rate.
+    """The motion of an AMASS file: `poses` (T,66 | 72 | 156 | 165) rad, `trans` (T,3) m, a frame rate.
 
     The body is, in this order: the user's SMPL file with the file's `betas`; `options.height`; what this
     project's own writer left (`offsets` or `height`); the table. options.rate_hz overrides the rate,
@@ -51,10 +57,12 @@ def read(path: Path, options: Options) -> Document:
     Raises FormatError naming the field and frame that do not fit.
     """
     path = Path(path)
-    fields = _npz.Fields(path, _npz.load(path, _READ))
-    poses, trans = _poses(fields)
-    rate = _rate(fields, options)
-    skeleton, said = _body(fields, options)
+    fields = _fields(path)
+    poses, said = _smpl_fields.poses(fields)
+    trans, more = _smpl_fields.path_of(fields, len(poses))
+    rate = _smpl_fields.rate(fields, options)
+    skeleton, shape = _body(fields, options)
+    said += more + shape
     R = ori.exp(poses.reshape(-1, 24, 3))
     U = _upright.world(options.up or "z")
     R[:, 0] = U @ R[:, 0]
@@ -66,51 +74,10 @@ def read(path: Path, options: Options) -> Document:
     return Document("amass", motion, tuple(said), tuple(_doubts(motion, options)))
 
 
-def _poses(fields: _npz.Fields) -> tuple[Array, Array]:
-    """Axis-angle (T,72) rad and trans (T,3) m as they stand in the file."""
-    path, raw = fields.path, fields.get("poses")
-    if raw.ndim != 2 or raw.shape[1] not in HANDS or len(raw) == 0:
-        known = " or ".join(f"(T, {n})" for n in HANDS)
-        raise FormatError(path, f"has shape {raw.shape}, expected {known}", "field 'poses'")
-    full = fields.floats("poses", raw.shape)
-    left, right = HANDS[raw.shape[1]]
-    poses = np.concatenate(
-        [full[:, :66], full[:, left : left + 3], full[:, right : right + 3]], axis=1
-    )
-    trans = fields.floats("trans", (len(poses), 3))
-    for name, values, most, unit in (
-        ("poses", poses, LARGEST_ANGLE, "radians"),
-        ("trans", trans, FARTHEST, "metres"),
-    ):
-        bad = ~(np.abs(values) <= most)
-        if bad.any():
-            t, k = (int(i) for i in np.argwhere(bad)[0])
-            raise FormatError(
-                path, f"is {values[t, k]:.4g}, expected {unit}", f"frame {t}, field {name!r}"
-            )
-    return poses, trans
-
-
-def _rate(fields: _npz.Fields, options: Options) -> float:
-    name = next((n for n in RATES if n in fields), None)
-    if options.rate_hz is None and name is None:
-        raise FormatError(fields.path, f"has no frame rate: field {RATES[0]!r} is missing")
-    try:
-        if options.rate_hz is not None:
-            return check_rate(options.rate_hz, "rate_hz")
-        return check_rate(fields.number(str(name)), f"field {name!r}")
-    except ShapeError as e:
-        raise FormatError(fields.path, str(e)) from e
-
-
 def _body(fields: _npz.Fields, options: Options) -> tuple[Skeleton, list[str]]:
-    betas = np.zeros(10)
-    if "betas" in fields:
-        betas = fields.floats("betas", fields.get("betas").shape).reshape(-1)
-        if len(betas) > 400 or not np.isfinite(betas).all():
-            raise FormatError(fields.path, "is no shape of finite numbers", "field 'betas'")
+    betas, said = _smpl_fields.betas(fields)
     if options.smpl is not None:
-        return Skeleton.from_smpl_file(options.smpl, betas), []
+        return Skeleton.from_smpl_file(options.smpl, betas), said
     try:
         table = Skeleton.default(options.height)
         own = table.offsets
@@ -124,8 +91,8 @@ def _body(fields: _npz.Fields, options: Options) -> tuple[Skeleton, list[str]]:
     except PoserError as e:
         raise FormatError(fields.path, str(e)) from e
     if not betas.any() or "offsets" in fields or "height" in fields:
-        return skeleton, []
-    return skeleton, ["the file's betas need an SMPL model; the neutral mean shape is used"]
+        return skeleton, said
+    return skeleton, [*said, "the file's betas need an SMPL model; the neutral mean shape is used"]
 
 
 def _doubts(motion: Motion, options: Options) -> list[str]:
@@ -172,7 +139,7 @@ def _arrays(motion: Motion) -> dict[str, np.ndarray]:
     ours = ori.log(R)
     poses = np.zeros((len(motion), COLUMNS))
     poses[:, :66] = ours[:, :22].reshape(len(motion), 66)
-    for joint, column in zip((22, 23), HANDS[COLUMNS], strict=True):
+    for joint, column in zip((22, 23), HANDS, strict=True):
         poses[:, column : column + 3] = ours[:, joint]
     body = motion.skeleton
     arrays = {
@@ -198,13 +165,28 @@ def _own_body(body: Skeleton) -> dict[str, np.ndarray]:
     return {"offsets": np.array(body.offsets)}
 
 
+def _fields(path: Path) -> _npz.Fields:
+    """The arrays of an archive, or of a pickled dictionary as AIST++ has them."""
+    if path.suffix.lower() == ".npz":
+        return _npz.Fields(path, _npz.load(path, _READ))
+    found = _pickled.fields(path)
+    return _npz.Fields(path, {k: _pickled.plain(path, found[k], k) for k in _READ if k in found})
+
+
 def _sniff(path: Path, head: bytes) -> bool:
+    if path.suffix.lower() != ".npz":
+        # Data sets of sensors have poses beside them, under other names.
+        return any(
+            all(_pickled.mentions(path, n.encode()) for n in names if not n.startswith("["))
+            for names in _smpl_fields.POSES[1:]
+        )
     if not head.startswith(b"PK"):
         return False
     # A file cut short has lost its directory; the first member still names itself.
-    first = any(f"{n}.npy".encode() in head for n in ("poses", "trans", *RATES))
+    known = ("poses", "trans", *_smpl_fields.RATES)
+    first = any(f"{n}.npy".encode() in head for n in known)
     found = _npz.names(path)
-    return "poses" in found or (first and not found)
+    return _smpl_fields.layout(found) is not None or (first and not found)
 
 
 def _write(path: Path, content: Content) -> None:
@@ -213,4 +195,4 @@ def _write(path: Path, content: Content) -> None:
     write_motion(path, content)
 
 
-FORMAT = Format("amass", (".npz",), _sniff, _checks.quiet(read), _write)
+FORMAT = Format("amass", (".npz", ".pkl"), _sniff, _checks.quiet(read), _write)

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from mocap.errors import FormatError, ShapeError
-from mocap.formats import Content, Document, Format, Options, _bvh_profiles
+from mocap.formats import Content, Document, Format, Options, _bvh_profiles, _joint_names
 from mocap.formats._bvh_profiles import PROFILES, RESTS, Profile, Rest
 from mocap.formats._bvh_text import BvhFile, parse
 from mocap.formats._files import write_aside
@@ -53,10 +53,12 @@ def read(path: Path, options: Options) -> Document:
     rate = file.rate_hz if options.rate_hz is None else check_rate(options.rate_hz, str(path))
     own = _own_rest(file)
     if own is not None:
-        return Document("bvh", _read_own(path, file, rate, own))
+        motion = _read_own(path, file, rate, own)
+        return Document("bvh", motion, file.assumptions, file.warnings)
     source = _source(path, file, rate, options)
     done = retarget(source, _body(options), options.scale, options.up)
-    return Document("bvh", done.motion, done.assumptions, done.warnings)
+    assumed = (*file.assumptions, *done.assumptions, _joint_names.said(source.given))
+    return Document("bvh", done.motion, assumed, (*file.warnings, *done.warnings))
 
 
 def _body(options: Options) -> Skeleton:
@@ -83,8 +85,15 @@ def _source(path: Path, file: BvhFile, rate: float, options: Options) -> Source:
         {i: file.translations(i) for i in moving},
         given,
     )
+    matched = _joint_names.match(still.names, still.given)
+    named = {still.names[i]: joint for joint, i in matched.items()}
+    twice = next((n for n in named if still.names.count(n) > 1), None)
+    if twice is not None:
+        raise FormatError(
+            path, f"joint name {twice!r} occurs more than once; {named[twice]} needs one"
+        )
     joints = needed(still, assign(still))
-    return replace(still.only(joints), R_local=file.rotations(joints))
+    return replace(still.only(joints), R_local=file.rotations(joints), given=named)
 
 
 def _layout() -> tuple[tuple[str, ...], tuple[int, ...], tuple[int, ...]]:

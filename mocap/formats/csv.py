@@ -4,7 +4,7 @@ Columns are named `<sensor>.<quantity>`, in a sensor's own file `<quantity>` alo
 gravity, gyr_x..z, mag_x..z, quat_w, quat_x..z (sensor to world), and `t` in s. Comment lines `#` before
 the header may declare `acc: m/s^2` (or g), `gyr: rad/s` (or deg/s), `world: y-up` (or z-up) and
 `rate_hz: 100`; the options override them. Declared units are held against gravity; undeclared ones are
-inferred from it, with a warning.
+inferred from it, with a warning. Where the acceleration holds no gravity, the orientation puts it back.
 """
 
 from __future__ import annotations
@@ -25,6 +25,8 @@ from mocap.formats import (
     Format,
     Options,
     _checks,
+    _clock,
+    _delimited,
     _opensim,
     _physics,
     _text,
@@ -47,6 +49,9 @@ _ACC_UNITS = {"m/s^2": 1.0, "m/s2": 1.0, "g": ori.GRAVITY, "mg": ori.GRAVITY / 1
 _GYR_UNITS = {"rad/s": 1.0, "deg/s": np.pi / 180, "dps": np.pi / 180}
 _WORLDS = ("y-up", "z-up")
 MAX_SENSORS = 64
+# Shares of the mean size that the mean vector in the world has: without gravity, and of gravity alone.
+AVERAGED_OUT, ALL_ONE_WAY = 0.35, 0.9
+AT_REST = 0.5  # m/s^2
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,10 +69,6 @@ def _declarations(line: str) -> dict[str, str]:
     return {m[1]: m[2] for m in _DECLARED.finditer(line.lower())}
 
 
-def _split(line: str, delimiter: str) -> list[str]:
-    return [c.strip().strip('"') for c in line.split(delimiter)]
-
-
 def _columns(
     path: Path, header: list[str], number: int
 ) -> tuple[dict[str, dict[str, list[int]]], list[str]]:
@@ -82,7 +83,7 @@ def _columns(
             if quantity in seen:
                 raise FormatError(path, f"column {column!r} occurs twice", f"line {number}")
             seen[quantity] = i
-        elif column.lower() not in _TIME:
+        elif column and column.lower() not in _TIME:
             ignored.append(column)
     found: dict[str, dict[str, list[int]]] = {}
     for sensor, have in where.items():
@@ -102,41 +103,28 @@ def _columns(
 
 
 def _parse(path: Path) -> _Table:
+    table = _delimited.open_table(path, _known, "<sensor>.acc_x")
     declared: dict[str, str] = {}
-    header: list[str] = []
-    found: dict[str, dict[str, list[int]]] = {}
-    ignored: list[str] = []
-    delimiter = ","
-    rows = _text.Rows(path, ())
-    for number, line in _text.lines(path):
+    for line in table.preamble:
         if line.startswith("#"):
             declared |= _declarations(line[1:])
-        elif not line.strip():
-            continue
-        elif not header:
-            delimiter = max(",;\t", key=line.count)
-            header = _split(line, delimiter)
-            found, ignored = _columns(path, header, number)
-            rows = _text.Rows(path, header)
-        else:
-            cells = _split(line, delimiter)
-            # A semicolon between cells leaves the comma to be the decimal sign.
-            if delimiter == ";":
-                cells = [c.replace(",", ".") for c in cells]
-            rows.add(number, [_cell(c, name) for c, name in zip(cells, header, strict=False)]
-                     if len(cells) == len(header) else cells)  # fmt: skip
-    table = rows.table() if header else np.empty((0, 0))
-    if not len(table):
-        raise FormatError(path, "no row of data")
-    time = [i for i, c in enumerate(header) if c.lower() in _TIME]
-    sensors = {s: {g: table[:, i] for g, i in groups.items()} for s, groups in found.items()}
-    return _Table(path, declared, table[:, time[0]] if time else None, sensors, tuple(ignored))
+    header = list(table.header)
+    found, ignored = _columns(path, header, table.line)
+    time = [i for i, c in enumerate(header) if c.lower() in _TIME][:1]
+    indices = [i for groups in found.values() for own in groups.values() for i in own]
+    values = table.columns([*time, *indices])
+    start = len(time)
+    sensors: dict[str, dict[str, Array]] = {}
+    for sensor, groups in found.items():
+        for group, own in groups.items():
+            sensors.setdefault(sensor, {})[group] = values[:, start : start + len(own)]
+            start += len(own)
+    return _Table(path, declared, values[:, 0] if time else None, sensors, tuple(ignored))
 
 
-def _cell(text: str, column: str) -> str:
-    """A cell to be read as a number: nothing there is NaN, and so are columns that are not read."""
-    known = column.rpartition(".")[2].lower() in _QUANTITY or column.lower() in _TIME
-    return text if text and known else "nan"
+def _known(cells: list[str]) -> bool:
+    """Whether these are column names of ours, of which some quantity has its first axis."""
+    return any(c.rpartition(".")[2].lower() in _QUANTITY for c in cells)
 
 
 def _merged(path: Path, tables: list[_Table]) -> dict[str, str]:
@@ -151,7 +139,7 @@ def _merged(path: Path, tables: list[_Table]) -> dict[str, str]:
     return declared
 
 
-def _clock(
+def _timed(
     path: Path, tables: list[_Table], declared: dict[str, str], options: Options
 ) -> tuple[float, list[np.ndarray], int, float, list[str]]:
     """Rate, the frame of every row of every file, number of frames, time of frame 0, doubts."""
@@ -169,8 +157,8 @@ def _clock(
             )
         return given, [np.arange(min(lengths)) for _ in tables], min(lengths), 0.0, doubts
     stamps = [np.asarray(t.t) for t in tables]
-    grids = [_checks.grid(t.path, s, "column t") for t, s in zip(tables, stamps, strict=True)]
-    rates = [g[0] for g in grids]
+    grids = [_clock.grid(t.path, s, "column t") for t, s in zip(tables, stamps, strict=True)]
+    rates = [g.rate_hz for g in grids]
     rate = float(np.median(rates))
     for table, own in zip(tables, rates, strict=True):
         if own < 1:
@@ -180,13 +168,23 @@ def _clock(
     if given is not None and abs(rate / given - 1) > 0.05:
         raise FormatError(path, f"runs at {rate:.4g} Hz, {given:g} Hz was said", "column t")
     start = min(float(s[0]) for s in stamps)
-    frames = [
-        g[1] + round((float(s[0]) - start) * rate) for g, s in zip(grids, stamps, strict=True)
-    ]
+    frames = []
+    for table, clock, stamp in zip(tables, grids, stamps, strict=True):
+        by_count = clock.frames + round((float(stamp[0]) - start) * rate)
+        by_time = np.rint((clock.slow_s - start) * rate).astype(np.int64)
+        apart = int(np.abs(by_time - by_count).max())
+        if len(tables) > 1 and apart > 1:
+            ppm = 1e6 * abs(clock.rate_hz / rate - 1)
+            doubts.append(
+                f"{table.path.name}: its clock is {ppm:.0f} ppm off the others', {apart} frames by the end; "
+                f"its samples lie where its stamps say"
+            )
+            by_count = np.maximum(by_time, 0)
+        frames.append(by_count)
     span = max(int(f[-1]) for f in frames) + 1
-    if span > _checks.MAX_GROWTH * max(len(s) for s in stamps) + 10:
+    if span > _clock.MAX_GROWTH * max(len(s) for s in stamps) + 10:
         raise FormatError(path, "the files' times hardly overlap", "column t")
-    return rate, frames, span, start, [d for g in grids for d in g[2]]
+    return rate, frames, span, start, doubts + [d for g in grids for d in g.doubts]
 
 
 def _placed(values: Sequence[Array | None], frames: list[np.ndarray], T: int, width: int) -> Array:
@@ -221,7 +219,10 @@ def _in_si(
     """`rec` in m/s^2 and rad/s. What is not declared is inferred from gravity and plausible speed."""
     doubts = []
     acc = _unit(path, "acc", _ACC_UNITS, declared, options)
-    if acc is None:
+    if acc is None and _gravity_free(rec, 1.0):
+        acc = 1.0
+        doubts.append("the unit of acc is not declared, and it holds no gravity: read as m/s^2")
+    elif acc is None:
         unit, said = _by_gravity(path, rec)
         acc = _ACC_UNITS[unit]
         if np.isfinite(rec.acc).any():
@@ -254,10 +255,24 @@ def _by_gravity(path: Path, rec: RawRecording) -> tuple[str, str]:
     near = [u for u, f in _ACC_UNITS.items() if 0.5 < size * f / ori.GRAVITY < 2]
     found = f"{size:.3g} {when}"
     if not near:
-        raise FormatError(path, f"{found}, gravity in none of m/s^2, g, mg: declare it", "acc")
+        raise FormatError(path, f"{found}, gravity in none of m/s^2, g, mg{_physics.FREE}", "acc")
     if size < 0.5 * ori.GRAVITY and _median(usual / sample) < unit_checks.KEPT:
-        raise FormatError(path, f"{found}, less than movement: it holds no gravity", "acc")
+        raise FormatError(path, f"{found}, less than movement{_physics.FREE}", "acc")
     return near[0], found
+
+
+def _gravity_free(rec: RawRecording, to_si: float) -> bool:
+    """Whether the mean acceleration, turned to the world, is none: gravity would be left of it.
+
+    Movement averages out; of a sensor at rest little but noise is left. Only orientations can tell that, and
+    put gravity back. to_si: of the declared unit.
+    """
+    if rec.R_world_sensor is None or not np.isfinite(rec.acc).any():
+        return False
+    force = np.einsum("tsij,tsj->tsi", rec.R_world_sensor, rec.acc)
+    mean = np.linalg.norm(np.nanmean(force, axis=0), axis=-1)
+    share = _median(mean / np.nanmean(np.linalg.norm(force, axis=-1), axis=0))
+    return share < AVERAGED_OUT or (share < ALL_ONE_WAY and _median(mean) * to_si < AT_REST)
 
 
 def _median(x: Array) -> float:
@@ -278,9 +293,11 @@ def _world(
     if world is None:
         force = np.einsum("tsij,tsj->tsi", R, acc).reshape(-1, 3)
         force = force[np.isfinite(force).all(-1)]
-        mean = force.mean(axis=0) if len(force) else np.array([0, 0, 1.0])
-        world = "y-up" if mean[1] > mean[2] else "z-up"
-        source = "by gravity" if len(force) else "assumed, the file does not say"
+        mean = force.mean(axis=0) if len(force) else np.zeros(3)
+        typical = float(np.linalg.norm(force, axis=1).mean()) if len(force) else 1.0
+        told = bool(np.linalg.norm(mean) > 0.5 * typical)  # else gravity is not in it
+        world = "y-up" if told and mean[1] > mean[2] else "z-up"
+        source = "by gravity" if told else "assumed, the file does not say"
     return (
         R if world == "y-up" else ori.R_YUP_ZUP @ R
     ), f"quaternions turn into a {world} world, {source}"
@@ -290,7 +307,7 @@ def _read(path: Path, options: Options) -> Document:
     files = _files(path) if path.is_dir() else [path]
     tables = [_parse(p) for p in files]
     declared = _merged(path, tables)
-    rate, frames_of, T, start, doubts = _clock(path, tables, declared, options)
+    rate, frames_of, T, start, doubts = _timed(path, tables, declared, options)
     given = _opensim.given(options)
     names = [n for t in tables for n in t.sensors]
     check_mapped(path, options.mapping, names)
@@ -308,8 +325,15 @@ def _read(path: Path, options: Options) -> Document:
         doubts += [f"{zeros} quaternions are zero, read as missing"] if zeros else []
     has_mag = all("mag" in c for c in columns)
     rec = RawRecording(rate, sensors, gyr, acc, mag if has_mag else None, R, start_s=start)
+    free = _gravity_free(rec, _unit(path, "acc", _ACC_UNITS, declared, options) or 1.0)
     rec, more = _in_si(path, rec, declared, options)
     doubts += more
+    if free and rec.R_world_sensor is not None:
+        up = np.array([0.0, ori.GRAVITY, 0.0])
+        rec = replace(rec, acc=rec.acc + np.einsum("tsji,j->tsi", rec.R_world_sensor, up))
+        assumed.append(
+            "acc holds no gravity: it is put back by the orientation, acc taken in the sensors' axes"
+        )
     blind = [s for s, c in enumerate(columns) if "gyr" not in c and "quat" in c]
     if blind and rec.R_world_sensor is not None:
         gyr = rec.gyr.copy()

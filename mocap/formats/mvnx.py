@@ -1,10 +1,11 @@
 """MVNX, the XML that Xsens MVN exports: segment orientations and positions, and the sensors behind them.
 
 Read by tag. A frame of type `normal` holds `orientation` (wxyz per segment), `position` (m), and per
-sensor `sensorOrientation` (wxyz) and `sensorFreeAcceleration` (m/s^2, gravity removed, world). The world
-is z-up with x forward: (x, y, z) becomes our (y, z, x). Segment frames are the world's in the T-pose, with
-straight arms and legs. Our bones' are the world's in our rest pose, so those of arms and legs are turned
-from one to the other, as in `_retarget`.
+sensor `sensorOrientation` (wxyz) and `sensorFreeAcceleration` (m/s^2, gravity removed, world); where there is
+`sensorAcceleration` instead, gravity tells whose axes it is in. The world is z-up with x forward: (x, y, z)
+becomes our (y, z, x). Segment frames are the world's in the T-pose, with straight arms and legs. Our bones'
+are the world's in our rest pose, so those of arms and legs are turned from one to the other, as in
+`_retarget`.
 """
 
 from __future__ import annotations
@@ -15,10 +16,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mocap import orientation as ori
 from mocap.errors import FormatError, ShapeError
-from mocap.formats import Document, Format, Options, _checks, _physics, _text, _xml
+from mocap.formats import Document, Format, Options, _checks, _clock, _holes, _physics, _text, _xml
 from mocap.formats._neutral import straightening
 from mocap.motion import Motion
 from mocap.orientation import Array
@@ -48,12 +50,14 @@ _SEGMENTS = (
 )  # fmt: skip
 """The segment whose orientation each of our 24 joints takes."""
 
-_PER = {"orientation": 4, "position": 3, "sensorOrientation": 4, "sensorFreeAcceleration": 3}
-_SENSOR_TAGS = ("sensorOrientation", "sensorFreeAcceleration")
+_FREE, _SENSED = "sensorFreeAcceleration", "sensorAcceleration"
+_PER = {"orientation": 4, "position": 3, "sensorOrientation": 4, _FREE: 3, _SENSED: 3}
+_SENSOR_TAGS = ("sensorOrientation", _FREE, _SENSED)
 _WANTED = frozenset(_PER)
 _CALIBRATION_FRAMES = ("identity", "tpose", "tpose-isb", "npose")
 SPREAD_DEG = 10.0  # a sensor that moves more than this on its segment is worth a warning
 MAX_NAMES = 200
+LONGEST_TAKE_S = 1e6  # times beyond it count from 1970, not from the take's beginning
 REACH = (0.25, 3.0)  # m: from the pelvis to the farthest segment, of a child that squats to a giant
 
 
@@ -136,22 +140,45 @@ def _array(path: Path, take: _Take, tag: str) -> Array | None:
     return np.asarray(values, float).reshape(len(take.times), N, _PER[tag])
 
 
-def _rate(path: Path, take: _Take, options: Options) -> tuple[float, list[str]]:
-    """frameRate, held against the frames' times (ms)."""
+@dataclass(frozen=True, eq=False)
+class _Clock:
+    """rate_hz; frames (N,): where the file's frames lie among all; start_s: time of the first; doubts."""
+
+    rate_hz: float
+    frames: NDArray[np.int64]
+    start_s: float
+    doubts: list[str]
+
+    @property
+    def whole(self) -> bool:
+        """Whether no frame is missing."""
+        return len(self.frames) == int(self.frames[-1]) + 1
+
+    def placed(self, values: Array) -> Array:
+        """Values (N,...) of the file's frames among all (T,...); NaN where one is missing."""
+        if self.whole:
+            return values
+        out = np.full((int(self.frames[-1]) + 1, *values.shape[1:]), np.nan)
+        out[self.frames] = values
+        return out
+
+
+def _clock_of(path: Path, take: _Take, options: Options) -> _Clock:
+    """frameRate, held against the frames' times (ms); frames that are missing stay gaps."""
     times = np.asarray(take.times) / 1000
     rate = options.rate_hz or take.rate_hz
     if np.isfinite(times).all() and len(times) > 1:
-        measured, frames, doubts = _checks.grid(path, times, "time")
-        if len(frames) != frames[-1] + 1:
-            raise FormatError(path, "frames are missing, expected a constant rate", "time")
-        if rate is not None and abs(measured / rate - 1) > 0.05:
+        found = _clock.grid(path, times, "time")
+        if rate is not None and abs(found.rate_hz / rate - 1) > 0.05:
             raise FormatError(
-                path, f"times run at {measured:.4g} Hz, frameRate is {rate:g}", "time"
+                path, f"times run at {found.rate_hz:.4g} Hz, frameRate is {rate:g}", "time"
             )
-        return rate or measured, doubts
+        start = float(times[0]) if 0 < times[0] < LONGEST_TAKE_S else 0.0
+        return _Clock(rate or found.rate_hz, found.frames, start, list(found.doubts))
     if rate is None:
         raise FormatError(path, "neither frameRate nor times (say rate)")
-    return rate, ["frames carry no time: the rate is not checked"]
+    doubts = ["frames carry no time: the rate is not checked"]
+    return _Clock(rate, np.arange(len(times)), 0.0, doubts)
 
 
 def _turned(path: Path, quat: Array, names: tuple[str, ...], tag: str) -> Array:
@@ -228,8 +255,14 @@ def _positions(path: Path, take: _Take) -> Array | None:
     return position
 
 
-def _motion(path: Path, take: _Take, R: Array, rate: float, body: Skeleton) -> Motion:
-    """R_world_bone (T,N,3,3) by segment, on our tree. The pelvis segment's origin lies between the hips."""
+def _motion(
+    path: Path, take: _Take, R: Array, clock: _Clock, body: Skeleton
+) -> tuple[Motion | None, slice, tuple[str, ...]]:
+    """R_world_bone (N,n,3,3) by segment, on our tree, the frames that it covers, and what was mended.
+
+    The pelvis segment's origin lies between the hips. None where more than half of the frames are beyond a
+    hole too long to be bridged.
+    """
     index = [take.segments.index(n) for n in _SEGMENTS]
     R_world_joint = R[:, index]
     position = _positions(path, take)
@@ -241,7 +274,14 @@ def _motion(path: Path, take: _Take, R: Array, rate: float, body: Skeleton) -> M
             position[:, take.segments.index("Pelvis")] @ R_OURS_MVN.T
             - R_world_joint[:, 0] @ between
         )
-    return Motion(rate, body.local_rotations(R_world_joint), p, body)
+    mended = _holes.rotations(clock.placed(R_world_joint), clock.rate_hz)
+    if not np.isfinite(mended.values).all():
+        return None, slice(0, len(mended.values)), ()
+    every = np.arange(int(clock.frames[-1]) + 1)[mended.kept]
+    p = np.stack([np.interp(every, clock.frames, p[:, k]) for k in range(3)], axis=1)
+    local = body.local_rotations(mended.values)
+    start = clock.start_s + mended.kept.start / clock.rate_hz
+    return Motion(clock.rate_hz, local, p, body, start), mended.kept, mended.notes
 
 
 def _recording(
@@ -249,16 +289,17 @@ def _recording(
     take: _Take,
     R_carrier: Array,
     motion: Motion | None,
-    rate: float,
+    kept: slice,
+    clock: _Clock,
     options: Options,
 ) -> tuple[Recording, list[str]]:
     """Sensors on their bones: R_world_bone = R_world_sensor R_bone_sensor^T.
 
-    R_carrier (T,N,3,3): R_world_bone by segment. R_bone_sensor is the chordal mean over all frames of its
-    inverse times R_world_sensor.
+    R_carrier (N,n,3,3): R_world_bone by segment. R_bone_sensor is the chordal mean over all frames of its
+    inverse times R_world_sensor. Of all frames those `kept` are in the recording.
     """
-    quat, free = (_array(path, take, tag) for tag in _SENSOR_TAGS)
-    assert quat is not None and free is not None
+    quat = _array(path, take, "sensorOrientation")
+    assert quat is not None
     use = [s for s, n in enumerate(take.sensors) if n in PLACES and n in take.segments]
     names = tuple(take.sensors[s] for s in use)
     sensors = tuple(PLACES[n] for n in names)
@@ -280,8 +321,40 @@ def _recording(
         spread = float(np.rad2deg(np.median(ori.angle_between(mount, relative[ok, s]))))
         if spread > SPREAD_DEG:
             doubts.append(f"sensor {name}: {spread:.0f} deg (median) off a constant mounting")
-    acc = free[:, use] @ R_OURS_MVN.T * _physics.factors(options)[0]
-    return Recording(rate, sensors, R_bone, acc, reference=motion), doubts
+    acc, more = _acceleration(path, take, use, R, _physics.factors(options)[0])
+    R_bone, acc = (clock.placed(x)[kept] for x in (R_bone, acc))
+    start = clock.start_s + kept.start / clock.rate_hz
+    rec = Recording(clock.rate_hz, sensors, R_bone, acc, reference=motion, start_s=start)
+    return rec, doubts + more
+
+
+def _acceleration(
+    path: Path, take: _Take, use: list[int], R: Array, unit: float
+) -> tuple[Array, list[str]]:
+    """acc_world (N,S,3) m/s^2 of the sensors `use`, and doubts. R: their orientations in our axes.
+
+    Free acceleration as it is. Of `sensorAcceleration`, which versions write in the sensor's axes or in the
+    world's, with gravity or without, the reading counts whose mean is nearest to what a body's is.
+    """
+    free = _array(path, take, _FREE)
+    if free is not None:
+        return free[:, use] @ R_OURS_MVN.T * unit, []
+    sensed = _array(path, take, _SENSED)
+    if sensed is None:
+        return np.full((*R.shape[:2], 3), np.nan), [f"no {_FREE} in the file: orientations alone"]
+    world = sensed[:, use] @ R_OURS_MVN.T * unit
+    turned = np.einsum("tsij,tsj->tsi", R, world)
+    up = np.array([0.0, ori.GRAVITY, 0.0])
+    readings = {
+        "in the sensors' axes with gravity, which is taken off": turned - up,
+        "in the world's axes with gravity, which is taken off": world - up,
+        "in the world's axes without gravity": world,
+    }
+    size = {
+        k: float(np.linalg.norm(np.nanmean(a, axis=0), axis=-1).mean()) for k, a in readings.items()
+    }
+    best = min(size, key=lambda k: size[k])
+    return readings[best], [f"no {_FREE}; {_SENSED} is read as {best}"]
 
 
 def _read(path: Path, options: Options) -> Document:
@@ -291,7 +364,8 @@ def _read(path: Path, options: Options) -> Document:
     quat = _array(path, take, "orientation")
     if quat is None or not take.segments:
         raise FormatError(path, "no segment orientation")
-    rate, doubts = _rate(path, take, options)
+    clock = _clock_of(path, take, options)
+    doubts = clock.doubts
     R = _turned(path, quat, tuple(take.segments), "orientation")
     if not np.isfinite(R).all():
         t, s = np.argwhere(~np.isfinite(R).all((-1, -2)))[0]
@@ -300,9 +374,12 @@ def _read(path: Path, options: Options) -> Document:
     body, assumed = _body(take, options)
     R = _bones(take, R, body)
     missing = [n for n in dict.fromkeys(_SEGMENTS) if n not in take.segments]
-    motion = None if missing else _motion(path, take, R, rate, body)
+    motion, kept = None, slice(0, int(clock.frames[-1]) + 1)
     if missing:
         doubts.append(f"segments {', '.join(missing)} are missing, so no reference motion")
+    else:
+        motion, kept, mended = _motion(path, take, R, clock, body)
+        doubts += mended or ([] if motion else ["too many frames are missing for a reference"])
     assumed = ["world is z-up with x forward in the file, y-up here", *assumed]
     level = _is_tpose(take)
     if level is False:
@@ -310,14 +387,15 @@ def _read(path: Path, options: Options) -> Document:
             f"the arms hang in the {take.tpose_kind} frame, yet segment frames are taken to be the world's "
             f"in a T-pose"
         )
-    has_sensors = all(len(take.values[tag]) for tag in _SENSOR_TAGS)
+    has_sensors = bool(take.values["sensorOrientation"])
     if has_sensors and any(n in PLACES and n in take.segments for n in take.sensors):
-        rec, more = _recording(path, take, R, motion, rate, options)
+        rec, more = _recording(path, take, R, motion, kept, clock, options)
         assumed.append("sensors are mounted on their segments at their mean relative orientation")
         doubts += more + _physics.calibrated(path, rec)
         return Document("mvnx", rec, tuple(assumed), tuple(doubts))
     if motion is None:
-        raise FormatError(path, f"neither sensors nor a whole body: no {', '.join(missing)}")
+        why = f"no {', '.join(missing)}" if missing else "too many frames are missing"
+        raise FormatError(path, f"neither sensors nor a whole body: {why}")
     return Document("mvnx", motion, tuple(assumed), (*doubts, "no sensor data: read as a motion"))
 
 

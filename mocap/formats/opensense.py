@@ -14,7 +14,7 @@ import numpy as np
 
 from mocap import orientation as ori
 from mocap.errors import FormatError
-from mocap.formats import Document, Format, Options, _checks, _opensim, _text, check_mapped
+from mocap.formats import Document, Format, Options, _checks, _clock, _opensim, _text, check_mapped
 from mocap.orientation import Array
 from mocap.recording import RawRecording
 
@@ -87,7 +87,8 @@ def _read(path: Path, options: Options) -> Document:
         raise FormatError(path, "one row only, so no rate (say rate)")
     doubts: list[str] = []
     if len(t) > 1:
-        rate, frames, doubts = _checks.grid(path, t)
+        clock = _clock.grid(path, t)
+        rate, frames, doubts = clock.rate_hz, clock.frames, list(clock.doubts)
     else:
         rate, frames = float(options.rate_hz or 0), np.zeros(len(t), np.int64)
     R, zeros = _checks.quaternions(path, quat, sensors, "quaternion")

@@ -22,6 +22,7 @@ from mocap.formats import (
     Format,
     Options,
     _checks,
+    _clock,
     _mat5,
     _opensim,
     _physics,
@@ -180,7 +181,8 @@ def _read(path: Path, options: Options) -> Document:
     segments = list(found)
     check_mapped(path, options.mapping, segments)
     t = _time(path, data["t"])
-    rate, frames, doubts = _checks.grid(path, t, "variable t")
+    clock = _clock.grid(path, t, "variable t")
+    rate, frames, doubts = clock.rate_hz, clock.frames, list(clock.doubts)
     if len(frames) != frames[-1] + 1:
         raise FormatError(path, "has gaps, expected a constant rate", "variable t")
     sensors = tuple(names[n] for n in segments)

@@ -1,114 +1,83 @@
-"""Xsens MT Manager exports: one `MT_<trial>_<device>.txt` per sensor, read one by one or as a folder.
+"""Xsens exports of MT Manager and of the DOT app: one file a device, read one by one or a folder a take.
 
-Comment lines `//` hold the rate; then a header and rows, tab-separated, found by column name:
-PacketCounter (sets the frame, wraps at 65536), Acc_X..Z m/s^2 with gravity in the sensor's frame,
-Mat[r][c] or Quat_q0..q3 (sensor to a z-up world), optional Gyr_X..Z rad/s and Mag_X..Z. A mapping file
-of OpenSim's reader beside them names the sensors.
+`_xsens_export` reads a file. Devices of a take are aligned by their PacketCounter (MT; it wraps at 65536) or
+by SampleTimeFine (DOT, where they were synchronised); what the radio lost stays a gap. Each is named by its
+tag or by what its file's name has of its own; a mapping file of OpenSim's reader beside them, or --map,
+says where it sits.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from mocap import orientation as ori
 from mocap.errors import FormatError
-from mocap.formats import Document, Format, Options, _checks, _opensim, _physics, _text
+from mocap.formats import (
+    Document,
+    Format,
+    Options,
+    _checks,
+    _clock,
+    _opensim,
+    _physics,
+    _xsens_export,
+)
+from mocap.formats._xsens_export import Export
 from mocap.orientation import Array
 from mocap.recording import RawRecording
 
-_RATE = re.compile(r"(?:update|sample)\s*rate:\s*([0-9.]+)\s*hz", re.IGNORECASE)
-_ACC = ("Acc_X", "Acc_Y", "Acc_Z")
-_GYR = ("Gyr_X", "Gyr_Y", "Gyr_Z")
-_MAG = ("Mag_X", "Mag_Y", "Mag_Z")
-_MAT = tuple(f"Mat[{r}][{c}]" for r in (1, 2, 3) for c in (1, 2, 3))
-_QUAT = ("Quat_q0", "Quat_q1", "Quat_q2", "Quat_q3")
 _COUNTER = "PacketCounter"
+_DEVICE = re.compile(r"[0-9A-Fa-f]{6,16}")
+SUFFIXES = (".txt", ".csv", ".tsv")
 WRAP = 1 << 16
 MAX_FILES = 64
 
 
-@dataclass(frozen=True)
-class _Export:
-    """One file: its rate in Hz or None, packet counters (N,) or None, and columns by group."""
-
-    path: Path
-    rate_hz: float | None
-    packets: Array | None
-    columns: dict[str, Array]  # acc, gyr, mag (N,3); mat (N,9); quat (N,4)
-
-
-def _groups(header: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    groups = (("packet", (_COUNTER,)), ("acc", _ACC), ("gyr", _GYR), ("mag", _MAG), ("mat", _MAT),
-              ("quat", _QUAT))  # fmt: skip
-    return {name: wanted for name, wanted in groups if all(c in header for c in wanted)}
-
-
-def _parse(path: Path) -> _Export:
-    rate: float | None = None
-    header: list[str] = []
-    wanted: list[int] = []
-    groups: dict[str, tuple[str, ...]] = {}
-    rows = _text.Rows(path, ())
-    for number, line in _text.lines(path):
-        if line.startswith("//"):
-            found = _RATE.search(line)
-            rate = _text.number(path, found[1], f"line {number}") if found else rate
-        elif not header:
-            header = [c.strip() for c in line.split("\t")]
-            groups = _groups(header)
-            missing = "Acc_X" if "acc" not in groups else "Mat[1][1] or Quat_q0"
-            if "acc" not in groups or not ({"mat", "quat"} & groups.keys()):
-                raise FormatError(path, f"no column {missing}", f"line {number}")
-            names = [c for g in groups.values() for c in g]
-            wanted = [header.index(c) for c in names]
-            rows = _text.Rows(path, names)
-        elif line.strip():
-            cells = line.split("\t")
-            if len(cells) < max(wanted) + 1:
-                raise FormatError(
-                    path, f"{len(cells)} columns, expected {len(header)}", f"line {number}"
-                )
-            # Empty cells are samples that the radio lost.
-            rows.add(number, [cells[i] if cells[i].strip() else "nan" for i in wanted])
-    table = rows.table() if header else np.empty((0, 0))
-    if not len(table):
-        raise FormatError(path, "no row of data")
-    columns, start = {}, 0
-    for name, cells_of in groups.items():
-        columns[name] = table[:, start : start + len(cells_of)]
-        start += len(cells_of)
-    packets = columns.pop("packet", None)
-    return _Export(path, rate, None if packets is None else packets[:, 0], columns)
-
-
-def _frames(exports: list[_Export]) -> tuple[list[np.ndarray], int, list[str]]:
-    """The frame of every row of every file on one clock, their number, and doubts."""
+def _aligned(
+    path: Path, exports: list[Export], rate: float
+) -> tuple[list[_clock.Frames], list[str]]:
+    """The frame of every row of every file on one clock, counted from the earliest, and doubts."""
+    if all(e.dot and e.seconds is not None for e in exports):
+        return _by_time(path, exports, rate)
     if any(e.packets is None for e in exports):
-        T = min(len(e.columns["acc"]) for e in exports)
-        doubt = (
-            [] if len(exports) == 1 else ["no PacketCounter: files are aligned at their first row"]
-        )
-        return [np.arange(T) for _ in exports], T, doubt
+        several = len(exports) > 1
+        doubt = ["no PacketCounter: files are aligned at their first row"] if several else []
+        return [np.arange(len(e)) for e in exports], doubt
     counters = [_unwrapped(e) for e in exports]
     # Counters of one trial start within seconds of each other, but on either side of a wrap.
     first = counters[0][0]
     counters = [c + WRAP * np.rint((first - c[0]) / WRAP) for c in counters]
     start, stop = min(c[0] for c in counters), max(c[-1] for c in counters) + 1
     span, longest = int(stop - start), max(len(c) for c in counters)
-    if span > _checks.MAX_GROWTH * longest + 10:
-        raise FormatError(
-            exports[0].path.parent if len(exports) > 1 else exports[0].path,
-            f"packets span {span} frames, yet no sensor has more than {longest}", _COUNTER,
-        )  # fmt: skip
-    return [(c - start).astype(np.int64) for c in counters], span, []
+    if span > _clock.MAX_GROWTH * longest + 10:
+        found = f"packets span {span} frames, yet no sensor has more than {longest}"
+        raise FormatError(path, found, _COUNTER)
+    return [(c - start).astype(np.int64) for c in counters], []
 
 
-def _unwrapped(export: _Export) -> Array:
+def _by_time(
+    path: Path, exports: list[Export], rate: float
+) -> tuple[list[_clock.Frames], list[str]]:
+    """By the clock that synchronised DOTs share; by their first rows where there is none."""
+    stamps = [np.asarray(e.seconds) for e in exports]
+    grids = [_clock.grid(e.path, s, "SampleTimeFine") for e, s in zip(exports, stamps, strict=True)]
+    doubts = [f"{e.path.name}: {d}" if len(exports) > 1 else d
+              for e, g in zip(exports, grids, strict=True) for d in g.doubts]  # fmt: skip
+    begin = min(float(s[0]) for s in stamps)
+    if max(float(s[0]) for s in stamps) > min(float(s[-1]) for s in stamps):
+        doubts.append(
+            "the devices' clocks have no time in common (not synchronised): aligned at their first rows"
+        )
+        return [g.frames for g in grids], doubts
+    return [
+        g.frames + round((float(s[0]) - begin) * rate) for g, s in zip(grids, stamps, strict=True)
+    ], doubts
+
+
+def _unwrapped(export: Export) -> Array:
     packets = export.packets
     assert packets is not None
     bad = ~((packets >= 0) & (packets < 1e9) & (packets == np.floor(packets)))
@@ -126,35 +95,54 @@ def _unwrapped(export: _Export) -> Array:
     return packets[0] + np.r_[0.0, np.cumsum(step)]
 
 
-def _placed(values: list[Array], frames: list[np.ndarray], T: int) -> Array:
-    """(T,S,...) with NaN where a sensor has no row."""
-    out = np.full((T, len(values), *values[0].shape[1:]), np.nan)
+def _placed(
+    values: Sequence[Array | None], frames: list[_clock.Frames], T: int, shape: tuple[int, ...]
+) -> Array:
+    """(T,S,*shape) with NaN where a sensor has no row, or no such quantity."""
+    out = np.full((T, len(values), *shape), np.nan)
     for s, (value, at) in enumerate(zip(values, frames, strict=True)):
-        out[at, s] = value[: len(at)]
+        if value is not None:
+            out[at, s] = value
     return out
 
 
-def _orientation(export: _Export, name: str) -> Array:
-    """R_world_sensor (N,3,3) of one file in our y-up world."""
-    if "mat" in export.columns:
-        R = export.columns["mat"].reshape(-1, 1, 3, 3)
-        R = _checks.rotations(export.path, R, (name,), "Mat")
-    else:
-        R, _ = _checks.quaternions(export.path, export.columns["quat"][:, None], (name,), "Quat")
-    return ori.R_YUP_ZUP @ R[:, 0]
-
-
-def _files(folder: Path, prefix: str) -> list[Path]:
-    found = sorted(p for p in folder.glob("MT_*.txt") if p.is_file() and p.name.startswith(prefix))
-    trials = {p.stem.rpartition("_")[0] for p in found}
+def _files(folder: Path, prefix: str) -> tuple[list[Path], list[str]]:
+    """The exports of a folder, and which other tables in it are left out."""
+    tables = sorted(
+        p
+        for p in folder.iterdir()
+        if p.suffix.lower() in SUFFIXES and p.is_file() and p.name.startswith(prefix)
+    )
+    empty = [p for p in tables if not p.stat().st_size]
+    if empty:
+        raise FormatError(empty[0], "the file is empty")
+    found = [p for p in tables if _looks(_head(p))]
     if not found:
-        raise FormatError(folder, f"no file {prefix or 'MT_'}*.txt")
-    if len(trials) > 1:
-        names = ", ".join(sorted(trials)[:4])
-        raise FormatError(folder, f"{len(trials)} trials ({names}), expected one per folder")
+        raise FormatError(folder, f"no file {prefix}* that MT Manager or the DOT app exported")
     if len(found) > MAX_FILES:
         raise FormatError(folder, f"{len(found)} files, at most {MAX_FILES} sensors are read")
-    return found
+    others = [p.name for p in tables if p not in found]
+    return found, [f"left out, no exports: {', '.join(others[:5])}"] if others else []
+
+
+def _names(folder: Path, exports: list[Export]) -> list[str]:
+    """A name for each device: its tag, else its number in the file's name, else what the name has of its own.
+
+    Raises FormatError where one device has several files, which are several trials.
+    """
+    tags = [e.device for e in exports]
+    stems = [re.split(r"[_\s]+", e.path.stem) for e in exports]
+    numbers = [next((w for w in reversed(s) if _DEVICE.fullmatch(w)), s[-1]) for s in stems]
+    for names in (tags, numbers):
+        if all(names) and len(set(names)) == len(names):
+            others = {tuple(w for w in s if w != n) for s, n in zip(stems, numbers, strict=True)}
+            if names is tags or len(others) == 1:
+                return names
+    trials = {"_".join(w for w in s if w != n) for s, n in zip(stems, numbers, strict=True)}
+    if len(set(numbers)) < len(numbers) or len({len(s) for s in stems}) > 1:
+        shown = ", ".join(sorted(trials)[:4])
+        raise FormatError(folder, f"{len(trials)} trials ({shown}), expected one per folder")
+    return [e.path.stem for e in exports]
 
 
 def _mapping(folder: Path, options: Options) -> tuple[str, dict[str, str], str]:
@@ -178,37 +166,56 @@ def _head(path: Path) -> bytes:
         return f.read(4096)
 
 
+def _rate(path: Path, exports: list[Export], options: Options) -> tuple[float, list[str]]:
+    """Samples per s: of the options, the headers or SampleTimeFine; and what was assumed."""
+    if options.rate_hz:
+        return options.rate_hz, []
+    stated = {e.rate_hz for e in exports if e.rate_hz is not None}
+    if len(stated) > 1:
+        raise FormatError(
+            path, f"files run at {sorted(stated)} Hz, expected one rate (say --rate HZ)"
+        )
+    if stated:
+        return stated.pop(), []
+    timed = [e for e in exports if e.seconds is not None]
+    if not timed:
+        raise FormatError(path, "no line '// Update Rate' and no SampleTimeFine: say --rate HZ")
+    found = [_clock.grid(e.path, np.asarray(e.seconds), "SampleTimeFine").rate_hz for e in timed]
+    rate = float(f"{np.median(found):.6g}")
+    return rate, [f"rate {rate:g} Hz, by SampleTimeFine"]
+
+
 def _read(path: Path, options: Options) -> Document:
     folder = path if path.is_dir() else path.parent
     prefix, places, source = _mapping(folder, options)
-    exports = [_parse(p) for p in (_files(path, prefix) if path.is_dir() else [path])]
-    devices = [e.path.stem.rpartition("_")[2] for e in exports]
+    files, left_out = _files(path, prefix) if path.is_dir() else ([path], [])
+    exports = [_xsens_export.read(p) for p in files]
+    devices = _names(folder, exports)
     sensors = tuple(places.get(d, d) for d in devices)
-    rates = {e.rate_hz for e in exports if e.rate_hz is not None}
-    rate = options.rate_hz or (rates.pop() if len(rates) == 1 else None)
-    if rate is None:
-        found = f"files run at {sorted(rates)} Hz" if rates else "no line '// Update Rate'"
-        raise FormatError(path, f"{found}, expected one rate (say rate)")
-    frames, T, doubts = _frames(exports)
-    R = _placed([_orientation(e, n) for e, n in zip(exports, sensors, strict=True)], frames, T)
-    columns = {
-        g: _placed([e.columns[g] for e in exports], frames, T)
-        for g in ("acc", "gyr", "mag")
-        if all(g in e.columns for e in exports)
-    }
-    columns |= {
-        g: columns[g] * factor
-        for g, factor in zip(("acc", "gyr"), _physics.factors(options), strict=True)
-        if g in columns
-    }
-    assumptions = ["world is z-up in the file, y-up here"]
+    rate, assumptions = _rate(path, exports, options)
+    frames, doubts = _aligned(path, exports, rate)
+    doubts += left_out
+    T = max(int(f[-1]) for f in frames) + 1
+    acc_unit, gyr_unit = _physics.factors(options)
+    turns = [e.orientation(n) for e, n in zip(exports, sensors, strict=True)]
+    forces = [e.force(turn) for e, turn in zip(exports, turns, strict=True)]
+    acc = acc_unit * _placed([a for a, _ in forces], frames, T, (3,))
+    gyr = gyr_unit * _placed([e.columns.get("gyr") for e in exports], frames, T, (3,))
+    mag, R = None, None
+    if all("mag" in e.columns for e in exports):
+        mag = _placed([e.columns["mag"] for e in exports], frames, T, (3,))
+    if any(turn is not None for turn in turns):
+        R, world = _physics.upright(_placed(turns, frames, T, (3, 3)), acc, "z-up")
+        assumptions.append(world)
+    assumptions += dict.fromkeys(said for _, said in forces if said)
     if source:
         assumptions.append(f"sensors {source}")
     if "sternum" in sensors:
         assumptions.append(_opensim.TORSO)
-    if "gyr" not in columns:
+    blind = [s for s, e in enumerate(exports) if "gyr" not in e.columns]
+    if blind and R is not None:
+        gyr[:, blind] = _checks.rates(R[:, blind], rate)
         assumptions.append("no rates in the file; gyr is the rate of the orientation")
-        columns["gyr"] = _checks.rates(R, rate)
     # Sensors stop and start one after the other: outside what all have, there is nothing to solve.
     start = max(int(f[0]) for f in frames)
     stop = min(int(f[-1]) for f in frames) + 1
@@ -218,22 +225,24 @@ def _read(path: Path, options: Options) -> Document:
         doubts.append(
             f"frames {start} to {stop - 1} of {T} are read: all sensors have begun, none has ended"
         )
-    rec = RawRecording(
-        rate,
-        sensors,
-        columns["gyr"],
-        columns["acc"],
-        mag=columns.get("mag"),
-        R_world_sensor=R,
-    ).slice(start, stop)
+    rec = RawRecording(rate, sensors, gyr, acc, mag, R).slice(start, stop)
     doubts += [*_opensim.unknown(sensors), *_physics.raw(path, rec)]
-    return Document("xsens_mtw", rec, tuple(assumptions), tuple(doubts))
+    name = "xsens_dot" if all(e.dot for e in exports) else "xsens_mtw"
+    return Document(name, rec, (*assumptions, *_physics.assumed(rec)), tuple(doubts))
+
+
+def _looks(head: bytes) -> bool:
+    """Whether the first bytes of a file are such an export's."""
+    head = head.lower().replace(b" ", b"")
+    marks = (b"packetcounter", b"sampletimefine", b"mat[1][1]", b"quat_q0", b"// updaterate")
+    return any(mark in head for mark in marks) or (b"\tacc_x\t" in head and b"\tmat" in head)
 
 
 def _sniff(path: Path, head: bytes) -> bool:
     if path.is_dir():
-        return next(path.glob("MT_*.txt"), None) is not None
-    return b"PacketCounter" in head or (b"Acc_X" in head and b"\t" in head)
+        files = (p for p in path.iterdir() if p.suffix.lower() in SUFFIXES and p.is_file())
+        return any(_looks(_head(p)) for p in files)
+    return _looks(head)
 
 
-FORMAT = Format("xsens_mtw", (".txt", ""), _sniff, _checks.quiet(_read))
+FORMAT = Format("xsens_mtw", (*SUFFIXES, ""), _sniff, _checks.quiet(_read))

@@ -270,6 +270,28 @@ def csv_folder(folder: Path) -> Path:
     return out
 
 
+def watch_lines(rec: RawRecording, s: int = 0) -> list[str]:
+    """Sensor Logger's WristMotion.csv of one sensor: gravity apart, a quaternion to a z-up world."""
+    assert rec.R_world_sensor is not None
+    R = ori.R_ZUP_YUP @ rec.R_world_sensor[:, s]
+    gravity = ori.GRAVITY * R[:, 2]  # R^T e_z
+    seconds = np.arange(len(rec)) / rec.rate_hz
+    lines = [
+        "time,seconds_elapsed,rotationRateX,rotationRateY,rotationRateZ,gravityX,gravityY,gravityZ,"
+        "accelerationX,accelerationY,accelerationZ,quaternionW,quaternionX,quaternionY,quaternionZ"
+    ]
+    blocks = (rec.gyr[:, s], gravity, rec.acc[:, s] - gravity, ori.to_quat(R))
+    for t, row in zip(seconds, np.concatenate(blocks, axis=1), strict=True):
+        stamp = 1_700_000_000_000_000_000 + round(t * 1e9)
+        lines.append(f"{stamp},{t:.6f}," + ",".join(f"{v:.9g}" for v in row))
+    return lines
+
+
+def watch(folder: Path) -> Path:
+    (folder / "WristMotion.csv").write_text("\n".join(watch_lines(raw())) + "\n")
+    return folder / "WristMotion.csv"
+
+
 DIP_17 = (
     "head", "sternum", "pelvis", "left_shoulder_blade", "right_shoulder_blade", "left_upper_arm",
     "right_upper_arm", "left_forearm", "right_forearm", "left_thigh", "right_thigh", "left_shank",

@@ -18,6 +18,7 @@ from mocap.formats import (
     mvnx,
     native,
     opensense,
+    phones,
     qmt,
     totalcapture,
     xsens_mtw,
@@ -149,6 +150,7 @@ BURSTS: dict[str, tuple[Format, Callable[[Path], Path], Burst]] = {
         xsens_mtw.FORMAT, files.mtw, _cells("\t", 3, 3, 12, "", "MT_trial_00B40002.txt")
     ),
     "MVNX": (mvnx.FORMAT, files.mvnx, _mvnx("sensorOrientation", "sensorFreeAcceleration")),
+    "phones": (phones.FORMAT, files.watch, _cells(",", 1, 2, 13, "")),
     "CSV": (csv.FORMAT, files.csv_wide, _cells(",", 2, 21, 10)),
     "CSV folder": (csv.FORMAT, files.csv_folder, _cells(",", 2, 1, 10, "", "right_thigh.csv")),
 }  # fmt: skip

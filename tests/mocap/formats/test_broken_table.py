@@ -20,6 +20,7 @@ from tests.mocap.formats.test_broken_named import CSV, CSV_FOLDER, MVNX
 from tests.mocap.formats.test_broken_pickles import DIP, PICKLED, RELEASE
 from tests.mocap.formats.test_broken_text import MTW, STO, TOTALCAPTURE
 from tests.mocap.formats.test_bvh import CASES as BVH
+from tests.mocap.formats.test_phones import CASES as PHONES
 
 DAMAGE = (
     "truncated", "wrong shape", "NaN burst", "swapped units", "left-handed", "non-unit", "wrong rate",
@@ -105,6 +106,10 @@ TABLE: dict[str, tuple[str, Cases, tuple[Cell, ...]]] = {
     "MVNX": ("mvnx", MVNX, (
         "cut", "count", Gap("MVNX"), "in g", QUATERNION, "sensor non-unit", "wrong rate", "empty",
         "endless text", NO_PICKLE,
+    )),
+    "phones": ("phones", PHONES, (
+        "cut", "an axis missing", Gap("phones"), "gravity elsewhere", QUATERNION, "non-unit", "no clock",
+        "empty", "huge gap", NO_PICKLE,
     )),
     "CSV": ("csv", CSV, (
         "cut", "short row", Gap("CSV"), "in degrees", QUATERNION, "non-unit", "rate contradicts", "empty",

@@ -99,9 +99,9 @@ def _mtw_raw(change: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.nda
 
 
 MTW: Cases = {
-    "cut in a row": (_mtw(lambda p: cut(p, 0.5)), "line 1.*columns, expected 15|not a rotation|ortho"),
-    "empty": (_mtw(lambda p: cut(p, 0)), "no row of data"),
-    "no rate": (_mtw(lambda p: [replaced(q, "Update", "Some") for q in p.parent.glob("MT*")]), "say rate"),
+    "cut in a row": (_mtw(lambda p: cut(p, 0.5)), "line 1.*values, expected 15|not a rotation|ortho"),
+    "empty": (_mtw(lambda p: cut(p, 0)), "the file is empty"),
+    "no rate": (_mtw(lambda p: [replaced(q, "Update", "Some") for q in p.parent.glob("MT*")]), "--rate HZ"),
     "two rates": (_mtw(lambda p: replaced(p, "60.0Hz", "100.0Hz")), r"files run at \[60.0, 100.0\] Hz"),
     "no acc": (_mtw(lambda p: replaced(p, "Acc_X", "Acc_Q")), "no column Acc_X"),
     "no orientation": (_mtw(lambda p: replaced(p, "Mat[1][1]", "M")), "no column Mat"),

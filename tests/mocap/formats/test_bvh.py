@@ -270,7 +270,7 @@ def test_a_scale_is_told(tmp_path: Path) -> None:
 def test_rate_body_and_names_are_told(rng: np.random.Generator, tmp_path: Path) -> None:
     file = tmp_path / "m.bvh"
     file.write_text(files.bvh_text(rate_hz=30.0).replace("LeftKnee", "Gelenk"))
-    with pytest.raises(FormatError, match="recognised as left_knee"):
+    with pytest.raises(FormatError, match="NAME=left_knee"):
         formats.read(file)
     told = Options(height=1.6, rate_hz=25.0, mapping={"Gelenk": "left_knee"})
     m = motion(file, told)
@@ -313,7 +313,7 @@ def last_number(new: str) -> Callable[[str], str]:
 BROKEN: dict[str, tuple[Callable[[str], str], str]] = {
     "cut in the hierarchy": (lambda s: s[:500], "no line MOTION"),
     "cut in the numbers": (lambda s: s[: int(0.9 * len(s))], r"found \d+ (numbers|frames), expected"),
-    "a frame missing": (swap("Frames: 5", "Frames: 6"), "found 5 frames, expected 6"),
+    "a frame missing": (swap("Frames: 5", "Frames: 7"), "found 5 frames, expected 7"),
     "no frames": (lambda s: s[: s.index("Frames:")] + "Frames: 0\nFrame Time: 0.1\n", "0"),
     "billions of frames": (swap("Frames: 5", "Frames: 99999999999"), "expected 99999999999"),
     "negative frames": (swap("Frames: 5", "Frames: -5"), "-5"),
@@ -335,7 +335,7 @@ BROKEN: dict[str, tuple[Callable[[str], str], str]] = {
     "brace missing": (swap("}\nMOTION", "MOTION"), "closing braces are missing"),
     "brace too many": (swap("MOTION", "}\nMOTION"), "without a"),
     "no root": (swap("ROOT", "BONE"), "found .BONE. where ROOT"),
-    "no legs": (lambda s: s.replace("Knee", "Foo"), "recognised as left_knee, right_knee"),
+    "no legs": (lambda s: s.replace("Knee", "Foo"), "NAME=left_knee,NAME=right_knee"),
     "a body of no size": (
         lambda s: "\n".join("OFFSET 0 0 0" if "OFFSET" in r else r for r in s.split("\n")),
         "left and right hip lie on each other",
@@ -363,3 +363,82 @@ def test_deep_nesting_is_no_recursion(tmp_path: Path) -> None:
     text += "MOTION\nFrames: 1\nFrame Time: 0.1\n" + "0 " * (n + 1) + "\n"
     (tmp_path / "x.bvh").write_text(text)
     broken.must_fail(tmp_path / "x.bvh", bvh.FORMAT)
+
+
+def same_motion(a: Motion, b: Motion) -> bool:
+    apart = ori.angle_between(a.R_parent_joint, b.R_parent_joint).max()
+    return bool(apart < 1e-9 and np.abs(a.p_world_root - b.p_world_root).max() < 1e-9)
+
+
+def written(folder: Path, rng: np.random.Generator) -> tuple[str, Motion]:
+    """A file's text, and what it holds."""
+    text = files.bvh_text(angles=rng.normal(0, 15, (6, 24, 3)), rate_hz=60.0)
+    (folder / "plain.bvh").write_text(text)
+    return text, motion(folder / "plain.bvh")
+
+
+@pytest.mark.parametrize("count", [5, 7])
+def test_a_frame_count_that_is_one_off(
+    tmp_path: Path, rng: np.random.Generator, count: int
+) -> None:
+    text, want = written(tmp_path, rng)
+    (tmp_path / "x.bvh").write_text(swap("Frames: 6", f"Frames: {count}")(text))
+    doc = formats.read(tmp_path / "x.bvh")
+    assert isinstance(doc.content, Motion) and same_motion(doc.content, want)
+    assert any(f"holds 6 frames, its 'Frames:' line says {count}" in w for w in doc.warnings)
+
+
+@pytest.mark.parametrize("per_line", [1, 7, 1000])
+def test_numbers_count_not_lines(tmp_path: Path, rng: np.random.Generator, per_line: int) -> None:
+    text, want = written(tmp_path, rng)
+    at = text.index("\n", text.index("Frame Time")) + 1
+    numbers = text[at:].split()
+    lines = [" ".join(numbers[k : k + per_line]) for k in range(0, len(numbers), per_line)]
+    (tmp_path / "x.bvh").write_text(text[:at] + "\n".join(lines) + "\n")
+    assert same_motion(motion(tmp_path / "x.bvh"), want)
+
+
+def test_positions_that_were_never_filled_in_are_not_meant(
+    tmp_path: Path, rng: np.random.Generator
+) -> None:
+    """Six channels on every joint, all positions below the root zero: the OFFSETs hold, and it is said."""
+    text, want = written(tmp_path, rng)
+    six = "CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation"
+    head, at, numbers = text.partition("Frame Time")
+    first, *rows = numbers.strip().split("\n")
+    padded = []
+    for row in rows:
+        cells = row.split()
+        joints = [cells[k : k + 3] for k in range(6, len(cells), 3)]
+        padded.append(" ".join([*cells[:6], *(x for j in joints for x in ("0", "0", "0", *j))]))
+    head = head.replace("CHANNELS 3 Zrotation Xrotation Yrotation", six)
+    (tmp_path / "x.bvh").write_text(head + at + first + "\n" + "\n".join(padded) + "\n")
+    doc = formats.read(tmp_path / "x.bvh")
+    assert isinstance(doc.content, Motion) and same_motion(doc.content, want)
+    assert any("are all zero, so their OFFSETs hold" in a for a in doc.assumptions)
+
+
+@pytest.mark.parametrize(
+    ("time", "rate_hz", "said"),
+    [
+        ("33.3333", 30.0, "read as milliseconds: 30 Hz"),
+        ("16.67", 60.0, "read as milliseconds: 60 Hz"),
+        ("8", 125.0, "read as milliseconds: 125 Hz"),
+        ("0.0167", 60.0, "0.0167 is 60 Hz"),
+        ("0.016", 60.0, "0.016 is 60 Hz"),
+        ("0.0166", 60.0, "0.0166 is 60 Hz"),
+        ("0.008", 125.0, ""),
+        ("0.0083", 120.0, "0.0083 is 120 Hz"),
+        ("0.033", 30.0, "0.033 is 30 Hz"),
+        ("0.033367", 30000 / 1001, ""),
+        ("0.01", 100.0, ""),
+        ("0.0123", 1 / 0.0123, ""),
+    ],
+)
+def test_frame_times_with_few_digits(tmp_path: Path, time: str, rate_hz: float, said: str) -> None:
+    text = files.bvh_text(rate_hz=60.0)
+    (tmp_path / "x.bvh").write_text(swap("Frame Time: 0.016666667", f"Frame Time: {time}")(text))
+    doc = formats.read(tmp_path / "x.bvh")
+    assert doc.content.rate_hz == pytest.approx(rate_hz, rel=1e-9)
+    told = [a for a in doc.assumptions if "Frame Time" in a]
+    assert bool(told) == bool(said) and all(said in a for a in told)

@@ -12,7 +12,7 @@ import pytest
 from mocap import calibration, formats, synthesis
 from mocap import orientation as ori
 from mocap.errors import FormatError
-from mocap.formats import Options, _checks, _physics, opensense
+from mocap.formats import Options, _physics, opensense
 from mocap.recording import RawRecording
 from tests.mocap.formats import recording_files as files
 
@@ -131,35 +131,3 @@ def test_a_table_of_orientations_can_be_calibrated(tmp_path: Path) -> None:
     want = files.recording(rec.sensors)
     assert have.ori_valid.all() and not have.acc_valid.any()
     assert np.rad2deg(ori.angle_between(have.R_world_bone, want.R_world_bone)).max() < 0.05
-
-
-def test_grid_of_rounded_stamps(tmp_path: Path) -> None:
-    """Stamps rounded to 10 ms at 60 Hz: the rate is that of the whole, not of the median step."""
-    t = np.round(np.arange(600) / 60, 2)
-    rate, frames, doubts = _checks.grid(tmp_path, t)
-    assert rate == pytest.approx(60, rel=1e-3) and (frames == np.arange(600)).all()
-    assert "jitter" in doubts[0]
-
-
-def test_grid_with_a_gap_and_jitter(tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
-    keep = np.r_[0:50, 57:120]
-    t = 3.0 + keep / 100 + rng.uniform(-0.002, 0.002, len(keep))
-    rate, frames, doubts = _checks.grid(tmp_path, t)
-    assert rate == pytest.approx(100, rel=1e-2) and (frames == keep).all()
-    assert any("7 of 120 samples are missing" in d for d in doubts)
-
-
-@pytest.mark.parametrize(
-    ("t", "message"),
-    [
-        ([0.0], "fewer than two samples"),
-        ([0.0, 0.01, 0.01], "frame 2, time: 0.01 s after 0.01 s, must rise"),
-        ([0.0, 0.01, np.nan], "frame 2, time: is nan"),
-        (np.r_[0:50, 50:150:1.6] / 100, "where .* is usual, expected a constant rate"),
-        ([0, 0.01, 0.02, 1e6], "a gap of 1e.06 s"),
-    ],
-)
-def test_grid_refuses(tmp_path: Path, t: list[float], message: str) -> None:
-    with pytest.raises(FormatError, match=message):
-        _checks.grid(tmp_path, np.asarray(t, float))
