@@ -77,6 +77,16 @@ def test_one_motion_is_read_back(motion: Motion, documents: dict[str, Document],
         assert off[j] < TOLERANCE[form].get(name, ROUNDED.get(form, EXACT)), name
 
 
+@pytest.mark.parametrize("form", ["motionbuilder", "daz"])
+def test_a_t_pose_is_not_on_the_takes_clock(
+    motion: Motion, documents: dict[str, Document], form: str
+) -> None:
+    """Frame 0 was put before the take: what is kept starts when it did."""
+    m = content(documents[form])
+    assert m.start_s == pytest.approx((len(motion) - len(m)) / motion.rate_hz)
+    assert any("starts with a T-pose" in s for s in documents[form].assumptions)
+
+
 @pytest.mark.parametrize("form", rigs.WRITERS)
 def test_limbs_point_as_they_did(motion: Motion, documents: dict[str, Document], form: str) -> None:
     m = content(documents[form])
@@ -263,6 +273,7 @@ def test_amc_and_motionbuilder_are_one_pose(cmu: dict[str, dict[str, Path]], tri
     """Frame 0 of the BVH is a T-pose, so its frame 3, the first that is read, is AMC's third."""
     a, b = (content(formats.read(cmu[form][trial])) for form in ("amc", "motionbuilder"))
     assert len(b) == len(a) - 2
+    assert b.start_s - a.start_s == pytest.approx(2 / a.rate_hz)
     off = np.degrees(ori.angle_between(a.R_world_joint[2:], b.R_world_joint)).max(axis=0)
     assert off.max() < 0.1, dict(zip(JOINTS, off.round(2), strict=True))
     went = (a.p_world_root[2:] - a.p_world_root[2]) - (b.p_world_root - b.p_world_root[0])
