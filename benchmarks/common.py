@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import os
 import platform
 import resource
+import shlex
 import statistics
+import sys
 import time
 import zlib
 from collections.abc import Iterable
@@ -13,6 +16,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from mocap import Motion, dataset
+
+SHORTEST_S, LONGEST_S = 2.0, 15.0
 
 
 def data_folder() -> Path:
@@ -47,6 +54,43 @@ def machine() -> str:
     return (
         f"{model}, {os.cpu_count()} cores; 1500 x 1500 float64 product, one thread: {product:.3f} s"
     )
+
+
+def clips(
+    split: dataset.Split, rate_hz: float = 60.0, longest_s: float = LONGEST_S
+) -> list[tuple[str, Motion]]:
+    """CMU's clips of a split that accuracy is measured on: the first `longest_s` of each that has at least
+    `SHORTEST_S` of trusted motion there. Frames that are not trusted (`Motion.trusted`) count nowhere."""
+    found = dataset.clips(split, ("cmu",), rate_hz, max_s=longest_s)
+    return [(name, motion) for name, motion in found if trusted_s(motion) >= SHORTEST_S]
+
+
+def trusted_s(motion: Motion) -> float:
+    """Seconds that count."""
+    share = 1.0 if motion.trusted is None else float(motion.trusted.mean())
+    return share * motion.seconds
+
+
+def told(found: list[tuple[str, Motion]]) -> str:
+    """How much of the clips counts, in words."""
+    whole, counts = (sum(f(m) for _, m in found) for f in (lambda m: m.seconds, trusted_s))
+    return f"{len(found)} clips, {counts:.1f} s that count, {whole - counts:.1f} s of faulty truth left out"
+
+
+def keep(path: Path, rows: object) -> None:
+    """Rows of figures with the command that made them, as `benchmarks/tables.py` reads them."""
+    words = [f"benchmarks/{Path(sys.argv[0]).name}", *sys.argv[1:]]
+    record = {"command": f"python {shlex.join(words)}", "machine": machine(), "rows": rounded(rows)}
+    path.write_text(json.dumps(record, indent=0))
+
+
+def rounded(x: Any) -> Any:
+    """Numbers to five digits: what is kept in the repository need not be long."""
+    if isinstance(x, dict):
+        return {k: rounded(v) for k, v in x.items()}
+    if isinstance(x, list | tuple):
+        return [rounded(v) for v in x]
+    return float(f"{x:.5g}") if isinstance(x, float | np.floating) else x
 
 
 def seed_of(name: str) -> int:

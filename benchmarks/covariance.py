@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from common import evenly, machine, row
+from common import clips, evenly, machine, row, told
 from methods import IMUPOSER_HZ, IMUPOSER_S, Run, imuposer_runs
 
 import hybrid
@@ -33,9 +33,9 @@ NAMES = ("sip_deg", "angular_deg", "position_cm", "global_deg", "instrumented_de
 TRAINING_STEP = 2  # every so many of the training clips
 
 
-def windows(clips: list[dataset.Clip], most: int | None) -> Windowed:
+def windows(given: list[dataset.Clip], most: int | None) -> Windowed:
     return cut_for(
-        "imuposer", recordings("imuposer", ((c.name, c.motion(None)) for c in clips)), most
+        "imuposer", recordings("imuposer", ((c.name, c.motion(None)) for c in given)), most
     )
 
 
@@ -72,9 +72,9 @@ def main() -> None:
         found.setdefault((way, s), []).append([getattr(m, n) for n in NAMES])
 
     longest = 5.0 + IMUPOSER_S
-    clips = list(dataset.clips("validation", ("cmu",), IMUPOSER_HZ, min_s=2.0, max_s=longest))
-    clips = evenly(clips, args.clips)
-    for i, (name, clip) in enumerate(clips):
+    tried = evenly(clips("validation", IMUPOSER_HZ, longest), args.clips)
+    print(f"validation split, {told(tried)}")
+    for i, (name, clip) in enumerate(tried):
         s = dataset.subject_of(name)
         for run in imuposer_runs(name, clip, model):
             network = run.playback(np.eye(72))
@@ -86,7 +86,7 @@ def main() -> None:
             }
             for way, estimator in refined.items():
                 tell(s, way, replay(estimator, run.recording).motion, run)
-        print(f"\r{i + 1}/{len(clips)}   ", end="", file=sys.stderr)
+        print(f"\r{i + 1}/{len(tried)}   ", end="", file=sys.stderr)
     print(file=sys.stderr)
     widths = (16, 9, *[17] * len(NAMES))
     print(row(("covariance of", "subject", *NAMES), widths))

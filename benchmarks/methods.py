@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from common import evenly, machine, row, seed_of
+from common import clips, evenly, keep, machine, row, seed_of, told, trusted_s
 
 from mocap import Motion, dataset, sensors, synthesis
 from mocap.estimator import Pose, Sample, replay
@@ -39,6 +39,7 @@ NAMES = (
 PAIRED = ("sip_deg", "angular_deg", "position_cm", "instrumented_deg", "jitter", "acc_error")
 IMUPOSER_HZ = 25.0
 IMUPOSER_S = 3.0  # of each clip, after the window is full
+ENOUGH_S = 1.0
 EARLY = 5  # frames that the network wakes before: an answer may come some frames after its window
 
 
@@ -97,9 +98,9 @@ def figures(
     m = metrics.evaluate(motion, truth, recording=recording, seen=recording.sensors)
     out: dict[str, Any] = {k: getattr(m, k) for k in NAMES if k != "acc_error"}
     p, q = (_joints(x) for x in (motion, truth))
-    out["acc_error"] = float(
-        np.linalg.norm(np.diff(p - q, 2, axis=0), axis=-1).mean() * truth.rate_hz**2
-    )
+    error = np.linalg.norm(np.diff(p - q, 2, axis=0), axis=-1).mean(axis=1) * truth.rate_hz**2
+    trusted = np.ones(len(truth), bool) if truth.trusted is None else truth.trusted
+    out["acc_error"] = float(error[trusted[:-2] & trusted[1:-1] & trusted[2:]].mean())
     out["jitter_reference"] = m.jitter_reference
     if ms is not None:
         out |= {"ms_p50": float(np.median(ms)), "ms_p99": float(np.percentile(ms, 99))}
@@ -158,7 +159,7 @@ class Run:
 
 
 def imuposer_runs(name: str, clip: Motion, model: Imuposer) -> Iterator[Run]:
-    """The 24 combinations on one clip."""
+    """The 24 combinations on one clip; none where less than `ENOUGH_S` of what is looked at is trusted."""
     from learned import runtime
     from learned.imuposer.specification import COMBINATIONS
     from learned.imuposer.window import ImuposerWindow
@@ -168,6 +169,8 @@ def imuposer_runs(name: str, clip: Motion, model: Imuposer) -> Iterator[Run]:
         clip, sensors.FIVE, synthesis.NOISES["realistic"], seed_of(name)
     )
     before = max(0, len(clip) - round(IMUPOSER_S * IMUPOSER_HZ))
+    if trusted_s(clip.slice(before, len(clip))) < ENOUGH_S:
+        return
     runtime.one_thread()
     awake = runtime.prepare(model, runtime.fastest())
     width = model.net.head.in_features
@@ -335,20 +338,19 @@ def main() -> None:
             if part == "dip"
             else (IMUPOSER_HZ, min(5.0 + IMUPOSER_S, args.seconds))
         )
-        clips = list(dataset.clips(args.split, ("cmu",), rate, min_s=2.0, max_s=seconds))
-        clips = evenly(clips, args.clips)
+        tried = evenly(clips(args.split, rate, seconds), args.clips)
         work = dip_clip if part == "dip" else imuposer_clip
         began = time.monotonic()
         results: list[dict[str, Any]] = []
         with ProcessPoolExecutor(args.jobs) as pool:
             for i, found in enumerate(
-                pool.map(work, [(*c, args.weights, args.tracker) for c in clips])
+                pool.map(work, [(*c, args.weights, args.tracker) for c in tried])
             ):
                 results += found
-                print(f"\r{part} {i + 1}/{len(clips)}   ", end="", file=sys.stderr)
+                print(f"\r{part} {i + 1}/{len(tried)}   ", end="", file=sys.stderr)
         print(file=sys.stderr)
         print(
-            f"\n{part}, {args.split} split, {len(clips)} clips of up to {seconds:g} s at {rate:g} Hz, "
+            f"\n{part}, {args.split} split, {told(tried)}, up to {seconds:g} s each at {rate:g} Hz, "
             f"realistic noise; {time.monotonic() - began:.0f} s"
         )
         if part == "dip":
@@ -363,7 +365,7 @@ def main() -> None:
             print(paired(averaged, "hybrid", "imuposer"))
         kept[part] = results
     if args.output:
-        args.output.write_text(json.dumps(kept, indent=1))
+        keep(args.output, kept)
 
 
 def _over_devices(results: list[dict[str, Any]]) -> list[dict[str, Any]]:

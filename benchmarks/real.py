@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import data_folder, machine, row
+from common import data_folder, keep, machine, row
 
 import sip
 from mocap import Recording, formats, sensors
@@ -51,7 +51,9 @@ def main() -> None:
     parser.add_argument(
         "--online", action="store_true", help="of the six sensors the online methods alone"
     )
+    parser.add_argument("-o", "--output", type=Path)
     args = parser.parse_args()
+    rows: list[dict[str, Any]] = []
     settings = sip.Settings(solver=args.solver)
     raw = formats.read(data_folder() / "qmt-fullbody" / "full_body_example_data.mat").content
     print(machine())
@@ -87,6 +89,10 @@ def main() -> None:
                 m = metrics.evaluate(motion, full.motion, recording=piece, seen=seen)
                 figures = [f"{getattr(m, k):.2f}" for k in NAMES]
                 print(row((name, f"{seconds:.1f}", *figures), widths), flush=True)
+                label = {"orientation": way, "window": f"{start}-{stop} s", "method": name}
+                rows.append(label | {k: getattr(m, k) for k in NAMES})
+    if args.output:
+        keep(args.output, rows)
 
 
 if __name__ == "__main__":

@@ -12,10 +12,10 @@ import sys
 from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
-from common import machine, row, seed_of
+from common import clips, machine, row, seed_of, told
 
 import sip
-from mocap import Motion, dataset, sensors, synthesis
+from mocap import Motion, sensors, synthesis
 from mocap.evaluation import metrics
 
 SECONDS = (2.0, 4.0, 15.0)
@@ -71,8 +71,8 @@ def main() -> None:
     parser.add_argument("--split", default="validation", choices=("validation", "test"))
     parser.add_argument("--jobs", type=int, default=2)
     args = parser.parse_args()
-    clips = list(dataset.clips(args.split, ("cmu",), 60.0, min_s=2.0, max_s=15.0))
-    jobs = [(n, m, s) for s in SECONDS for n, m in clips if m.seconds >= s or s == SECONDS[-1]]
+    found = clips(args.split)
+    jobs = [(n, m, s) for s in SECONDS for n, m in found if m.seconds >= s or s == SECONDS[-1]]
     with ProcessPoolExecutor(args.jobs) as pool:
         results = []
         for i, r in enumerate(pool.map(one, jobs)):
@@ -80,6 +80,7 @@ def main() -> None:
             print(f"\r{i + 1}/{len(jobs)}", end="", file=sys.stderr)
     print(file=sys.stderr)
     print(machine())
+    print(f"{args.split} split, {told(found)}")
     widths = (9, 7, *[22] * 4, 16, 16)
     heads = (*QUANTITIES, "sip_deg", "position_cm")
     print(row(("seconds <=", "clips", *heads), widths))

@@ -1,20 +1,19 @@
 """Accuracy on the fixed split: `python benchmarks/split.py [--split test] [-o results.json]`.
 
-Every clip of 2 s or more of the split, cut to 15 s, 60 Hz, six virtual sensors; clean and with the
-realistic noise. SOP and SIP differ in the acceleration term alone.
+The first 15 s of every clip of the split with 2 s or more of trusted motion (`common.clips`), 60 Hz, six
+virtual sensors; clean and with the realistic noise. SOP and SIP differ in the acceleration term alone.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from common import machine, row, seed_of
+from common import clips, keep, machine, row, seed_of, told
 
 import sip
 from mocap import Motion, dataset, sensors, synthesis
@@ -123,12 +122,12 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("-o", "--output", type=Path)
     args = parser.parse_args()
-    clips = list(dataset.clips(args.split, ("cmu",), 60.0, min_s=2.0, max_s=15.0))
+    found = clips(args.split)
     jobs = [
         (name, motion, noise, method, args.solver)
         for noise in args.noise.split(",")
         for method in args.methods.split(",")
-        for name, motion in clips
+        for name, motion in found
     ]
     results = []
     with ProcessPoolExecutor(args.jobs) as pool:
@@ -138,11 +137,11 @@ def main() -> None:
     print(file=sys.stderr)
     print(machine())
     for noise in args.noise.split(","):
-        print(f"\n{args.split} split, {len(clips)} clips, noise {noise}, solver {args.solver}")
+        print(f"\n{args.split} split, {told(found)}, noise {noise}, solver {args.solver}")
         print(table(results, noise))
         print(starts(results, noise))
     if args.output:
-        args.output.write_text(json.dumps(results, indent=1))
+        keep(args.output, results)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from mocap.estimator import Pose, Sample
 from mocap.skeleton import Skeleton
 from mocap.synthesis import motions
 from poser.live import loop
-from poser.live.sources import Replay
+from poser.live.samples import Replay
 
 BODY = Skeleton.default()
 

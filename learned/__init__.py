@@ -3,36 +3,25 @@
 The DIP network (Huang et al. 2018) reads six sensors at 60 Hz; IMUPoser (Mollyn et al. 2023) any one to
 three of five everyday devices at 25 Hz. `estimator` streams one with the shipped weights, or with yours,
 through the protocol of `mocap.estimator`; `learned.training` trains them on virtual sensors put on motion
-capture. What each network is stands in its `Specification`; torch is imported once a model is made.
+capture. What each network is stands in its `Specification`; torch is imported once a model is asked for.
 """
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from learned.config import Config, for_network
-from learned.errors import CheckpointError, TrainingError
-from learned.registry import NETWORKS, specification
-from learned.specification import Specification
+from mocap.exports import lazy
 
 if TYPE_CHECKING:
     from learned.checkpoint import load, save, shipped
+    from learned.config import Config, for_network
+    from learned.errors import CheckpointError, TrainingError
     from learned.model import Model, build
-    from learned.online import Online, stream
+    from learned.online.estimator import Online
+    from learned.online.streaming import stream
     from learned.pretrained import estimator
-
-# Name -> its module, of those that import torch.
-_LATER = {
-    "Model": "learned.model",
-    "Online": "learned.online",
-    "build": "learned.model",
-    "estimator": "learned.pretrained",
-    "load": "learned.checkpoint",
-    "save": "learned.checkpoint",
-    "shipped": "learned.checkpoint",
-    "stream": "learned.online",
-}
+    from learned.registry import NETWORKS, specification
+    from learned.spec import Specification
 
 __all__ = [
     "NETWORKS",
@@ -52,13 +41,26 @@ __all__ = [
     "stream",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _LATER:
-        raise AttributeError(f"module 'learned' has no attribute {name!r}")
-    found = getattr(import_module(_LATER[name]), name)
-    globals()[name] = found
-    return found
+__getattr__ = lazy(
+    __name__,
+    {
+        "NETWORKS": "registry",
+        "CheckpointError": "errors",
+        "Config": "config",
+        "Model": "model",
+        "Online": "online.estimator",
+        "Specification": "spec",
+        "TrainingError": "errors",
+        "build": "model",
+        "estimator": "pretrained",
+        "for_network": "config",
+        "load": "checkpoint",
+        "save": "checkpoint",
+        "shipped": "checkpoint",
+        "specification": "registry",
+        "stream": "online.streaming",
+    },
+)
 
 
 def __dir__() -> list[str]:

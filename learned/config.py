@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from learned.errors import CheckpointError
 from learned.registry import of_architecture, specification
-from learned.specification import Specification
+from learned.spec import Specification
 from mocap import sensors as places
 
 Normalisation = Literal["root", "first", "heading"]

@@ -12,11 +12,9 @@ import numpy as np
 from torch import Tensor, nn
 
 from learned.config import Config
+from learned.spec import named
 
 if TYPE_CHECKING:
-    from learned.online.estimator import RollingWindow
-    from learned.runtime import Runtime
-    from learned.training.validation import Windowed
     from learned.training.virtual import Batch
 
 
@@ -76,10 +74,6 @@ class Model(nn.Module):
         """
         raise NotImplementedError
 
-    def calibrate(self, windows: Windowed, trained: Windowed | None) -> None:
-        """`learned.training.deviations.calibrate`."""
-        raise NotImplementedError
-
     # -- online -----------------------------------------------------------------------------------
 
     @property
@@ -93,21 +87,8 @@ class Model(nn.Module):
         """The answer for one frame, from its features (F,) behind `layers`."""
         raise NotImplementedError
 
-    def window(
-        self,
-        sensors: tuple[str, ...],
-        places: tuple[str, ...],
-        window: tuple[int, int] | None,
-        runtime: Runtime,
-    ) -> RollingWindow:
-        """The window that the online runner feeds. sensors: their names; places: what each stands for.
-
-        window: frames before and after, None: the specification's. Raises SensorError for sensors that do
-        not fit, PoserError for a window.
-        """
-        raise NotImplementedError
-
 
 def build(config: Config) -> Model:
     """An untrained model; torch's generator decides the weights."""
-    return config.specification.model_class()(config)
+    made: Model = named(config.specification.model)(config)
+    return made

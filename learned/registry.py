@@ -5,7 +5,7 @@ from __future__ import annotations
 from learned.dip.specification import SPECIFICATION as DIP
 from learned.errors import CheckpointError
 from learned.imuposer.specification import SPECIFICATION as IMUPOSER
-from learned.specification import Specification
+from learned.spec import Specification
 from mocap.errors import PoserError
 
 NETWORKS: dict[str, Specification] = {s.name: s for s in (DIP, IMUPOSER)}

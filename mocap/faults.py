@@ -26,7 +26,10 @@ JUMP_DEG = (60.0, 150.0)  # the least that counts at high rates, the most that i
 CERTAIN_DEG = (
     30.0  # a flip is undone where less than this is left of the jump (120 Hz; scales as the jump)
 )
-MARGIN_DEG = 40.0  # of two solutions that is the right one whose mean twist is smaller by this
+# A bone that is twisted about its length by more is the more likely wrong, the longer it is: a quarter of a
+# second at 45 deg more weighs as much as a jump by half a turn. Of two solutions one is beyond 90 deg.
+TWIST_DEG = 90.0
+TWIST_WEIGHT = 16.0  # 1/s
 BRIDGED_S = (
     0.25  # a wrist or an ankle that leaves for less than this and comes back is taken across
 )
@@ -39,7 +42,15 @@ BEYOND_DEG = {
     "left_wrist": 130.0, "right_wrist": 130.0,
 }  # fmt: skip
 _LIMBS = ((1, 4, 7), (2, 5, 8), (16, 18, 20), (17, 19, 21))
-_ROLLING = (18, 19, 7, 8, 20, 21)  # single bones that roll about their length
+_ROLLING = (
+    18,
+    19,
+    7,
+    8,
+    20,
+    21,
+    15,
+)  # single bones that roll about their length; the head rolls about z
 _BRIDGED = (7, 8, 20, 21)
 # Toes and hands end the body: nobody looks at their jumps, and they roll with what they end.
 _ENDS = (10, 11, 22, 23)
@@ -81,12 +92,12 @@ def mend(motion: Motion) -> Mended:
     """Find flips and turn them back; to be called at the rate of capture, before any low-pass.
 
     A limb of two bones is turned by half a turn about the line from its first joint to its last, which stays
-    where it is; a forearm, foot or hand about its own length. A jump that becomes smooth when one side of it
-    is turned parts right from wrong; which side is wrong is said by the twist of the bone about its length,
-    which bodies keep small. Of wrists and ankles that are away for less than `BRIDGED_S` the rotation is
-    interpolated. Frames are not trusted beside a jump that is left, between two of one joint less than
-    `BETWEEN_S` apart, from one to an end of the clip that is less than `END_S` away, where both solutions are
-    as good, and where a joint is turned beyond `BEYOND_DEG`.
+    where it is; a forearm, foot or hand about its own length, a head about the way it faces. Of both
+    solutions that path through the frames is taken that turns the least from frame to frame and twists the
+    bone the least beyond `TWIST_DEG`. Of wrists and ankles that are away for less than `BRIDGED_S` the
+    rotation is interpolated. Frames are not trusted beside a jump that is left, between two of one joint less
+    than `BETWEEN_S` apart, from one to an end of the clip that is less than `END_S` away, where a joint is
+    turned beyond `BEYOND_DEG`, and between two such frames less than `BETWEEN_S` apart.
     """
     work = _Work(motion)
     for limb in _LIMBS:
@@ -95,9 +106,9 @@ def mend(motion: Motion) -> Mended:
         work.choose(joint, lambda R, joint=joint: _rolled(motion, R, joint))  # type: ignore[misc]
     for joint in _BRIDGED:
         work.bridge(joint)
-    wrong = work.doubtful.any(axis=1) | _beyond(work.R)
+    wrong = np.zeros(len(motion), bool)
     for joint in sorted(set(range(24)) - set(_ENDS)):
-        wrong |= work.across(joint)
+        wrong |= work.across(joint) | _closed(_beyond(work.R, (joint,)), motion.rate_hz)
     return Mended(replace(motion, R_parent_joint=work.R, trusted=~wrong), work.mended)
 
 
@@ -110,7 +121,6 @@ class _Work:
         self.limit = np.deg2rad(jump_limit_deg(motion.rate_hz))
         self.certain = self.limit * CERTAIN_DEG / JUMP_DEG[0]
         self.mended = np.zeros(len(motion), bool)
-        self.doubtful = np.zeros((len(motion), 24), bool)
         self.seams: dict[int, set[int]] = {}
 
     def jumps(self, joint: int) -> list[int]:
@@ -121,31 +131,18 @@ class _Work:
         return sorted(int(t) for t in far | seams)
 
     def choose(self, joint: int, turn: Callable[[Array], dict[int, Array]]) -> None:
-        """Between the jumps of a joint: it as it is, or turned."""
-        cuts = self.jumps(joint)
-        if not cuts and not _beyond(self.R, (joint,)).any():
+        """Take at each frame the joint as it is, or turned."""
+        if not self.jumps(joint) and not _beyond(self.R, (joint,)).any():
             return
         other = turn(self.R)
-        a, b = self.R[:, joint], other[joint]
-        turned, group = _labels(a, b, cuts, self.certain)
-        twist = np.abs(_twist(np.stack([a, b]), _along(self.skeleton, joint)))
-        sizes = [(group == g).sum() for g in range(group[-1] + 1)]
-        take = np.zeros(len(a), bool)
-        for g in range(len(sizes)):
-            mine = group == g
-            kept = np.where(turned, twist[1], twist[0])[mine].mean()
-            reverse = np.where(turned, twist[0], twist[1])[mine].mean()
-            if abs(kept - reverse) < np.deg2rad(MARGIN_DEG):
-                self.doubtful[:, joint] |= mine & (
-                    turned if turned[mine].any() else g != int(np.argmax(sizes))
-                )
-                continue
-            take |= mine & (turned if kept < reverse else ~turned)
+        both = np.stack([self.R[:, joint], other[joint]])
+        twist = np.abs(_twist(both, _along(self.skeleton, joint)))
+        excess = np.maximum(twist - np.deg2rad(TWIST_DEG), 0.0) * TWIST_WEIGHT / self.rate_hz
+        take = cheapest(both[0], both[1], excess)
         for j, R in other.items():
             self.R[take, j] = R[take]
-        self.mended |= take
-        for j in other:
             self.seams.setdefault(j, set()).update(np.flatnonzero(take[1:] != take[:-1]) + 1)
+        self.mended |= take
 
     def bridge(self, joint: int) -> None:
         """Interpolate between two jumps near each other, where the joint comes back to where it was."""
@@ -167,7 +164,6 @@ class _Work:
                     np.array([first, behind], float), ends[:, j, None], at
                 )[:, 0]
             self.mended[first + 1 : behind] = True
-            self.doubtful[first + 1 : behind, joint] = False
             k = back[-1] + 1
 
     def across(self, joint: int) -> Mask:
@@ -184,20 +180,23 @@ class _Work:
         return turn < np.deg2rad(JUMP_DEG[0])
 
 
-def _labels(a: Array, b: Array, cuts: list[int], certain: float) -> tuple[Mask, NDArray[np.int_]]:
-    """(T,) turned against the frames before, and (T,) which frames hang together by certain flips.
-
-    At each cut the joint stays with its solution, or changes to the other where that is smooth; where neither
-    is, another group begins.
+def cheapest(a: Array, b: Array, cost: Array) -> Mask:
+    """(T,): where b is taken, of two solutions (T,3,3) for a joint: the path with the least sum of the turns
+    in rad from frame to frame and of a cost (2,T) of each solution at each frame (Viterbi); of equal ones a.
     """
-    turned, group = np.zeros(len(a), bool), np.zeros(len(a), int)
-    for t in cuts:
-        before = b[t - 1] if turned[t - 1] else a[t - 1]
-        step = [float(ori.angle_between(before, x[t])) for x in (a, b)]
-        smooth = min(step) < certain
-        turned[t:] = smooth and step[1] < step[0]
-        group[t:] += not smooth
-    return turned, group
+    both = np.stack([a, b], axis=1)
+    step = ori.angle_between(both[:-1, :, None], both[1:, None, :])  # (T-1, from, to)
+    own = cost.T + np.array([0.0, 1e-6])
+    total, came = own[0], np.zeros((len(a), 2), int)
+    for t in range(1, len(a)):
+        by = total[:, None] + step[t - 1]
+        came[t] = by.argmin(axis=0)
+        total = by.min(axis=0) + own[t]
+    path = np.empty(len(a), int)
+    path[-1] = total.argmin()
+    for t in range(len(a) - 1, 0, -1):
+        path[t - 1] = came[t, path[t]]
+    return path.astype(bool)
 
 
 def _other_side(motion: Motion, R: Array, limb: tuple[int, int, int]) -> dict[int, Array]:
@@ -217,14 +216,17 @@ def _other_side(motion: Motion, R: Array, limb: tuple[int, int, int]) -> dict[in
 def _rolled(motion: Motion, R: Array, joint: int) -> dict[int, Array]:
     """Local rotations of a bone rolled by half a turn about its length; what follows keeps its global
     rotation, or rolls with it where it ends the body."""
-    child = PARENTS.index(joint)
     Q = ori.exp(np.pi * _along(motion.skeleton, joint))
-    below = Q.T @ R[:, child]
-    return {joint: R[:, joint] @ Q, child: below @ Q if child in _ENDS else below}
+    rolled = {joint: R[:, joint] @ Q}
+    for child in (j for j, parent in enumerate(PARENTS) if parent == joint):
+        rolled[child] = Q.T @ R[:, child] @ (Q if child in _ENDS else np.eye(3))
+    return rolled
 
 
 def _along(skeleton: Skeleton, joint: int) -> Array:
-    """Unit vector (3,) from a joint to the next in its own frame."""
+    """Unit vector (3,) from a joint to the next in its own frame; the head faces along z."""
+    if joint not in PARENTS:
+        return np.array([0.0, 0.0, 1.0])
     offset = np.asarray(skeleton.offsets[PARENTS.index(joint)], float)
     return np.asarray(offset / np.linalg.norm(offset))
 
@@ -251,7 +253,16 @@ def _beside(cuts: list[int], frames: int, rate_hz: float) -> Mask:
     return out
 
 
-def _beyond(R: Array, joints: Sequence[int] = tuple(range(24))) -> Mask:
+def _closed(wrong: Mask, rate_hz: float) -> Mask:
+    """A mask (T,) without the gaps shorter than `BETWEEN_S` between its frames."""
+    out = np.array(wrong)
+    for (_, behind), (first, _) in pairwise(runs(wrong)):
+        if first - behind < BETWEEN_S * rate_hz:
+            out[behind:first] = True
+    return out
+
+
+def _beyond(R: Array, joints: Sequence[int]) -> Mask:
     """(T,): frames with one of the joints beyond `BEYOND_DEG`."""
     limits = {_INDEX[n]: deg for n, deg in BEYOND_DEG.items() if _INDEX[n] in joints}
     turn = np.rad2deg(ori.angle(R[:, list(limits)]))

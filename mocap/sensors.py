@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from mocap.errors import SensorError
-from mocap.orientation import Array
-from mocap.skeleton import JOINTS
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from mocap.orientation import Array
 
 
 @dataclass(frozen=True)
@@ -98,10 +100,14 @@ def lookup(name: str) -> Place:
 def joints_and_seats(names: tuple[str, ...]) -> tuple[np.ndarray, Array]:
     """Joint indices (S,) int and seats (S,3) m of table places."""
     places = [lookup(n) for n in names]
+    import numpy as np  # names of places alone, as a parser lists them, need it not
+
     joints = np.array([p.joint for p in places], dtype=np.int64)
     return joints, np.array([p.position for p in places], float).reshape(-1, 3)
 
 
 def describe(name: str, joint: int) -> str:
     """`left_forearm (left_elbow)`: the sensor and the joint whose rotation it follows."""
+    from mocap.tree import JOINTS
+
     return f"{name} ({JOINTS[joint]})"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import learned
 from learned.registry import specification
-from learned.specification import named
+from learned.spec import named
 from mocap.errors import PoserError, SensorError
 
 if TYPE_CHECKING:

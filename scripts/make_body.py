@@ -213,16 +213,20 @@ def smooth_weights(weights: Array, faces: Faces, times: int = 3) -> Array:
     return weights
 
 
-def smooth_chest(v: Array, faces: Faces, times: int = 150, first: int = 10) -> Array:
-    """A mannequin's chest: smoothed towards the neighbours' mean `first`, then by Taubin's way, which keeps
-    the volume; faded out around it."""
-    inside = np.abs(v / [0.20, 1, 1] - [0, 0.09, 0]) < [1, 0.11, 1]
-    near = inside.all(axis=1) & (v[:, 2] > 0.03)
-    fade = near * np.cos(np.clip((v[:, 1] - 0.09) / 0.11, -1, 1) * np.pi / 2) ** 0.5
-    mean = neighbours_mean(faces, len(v))
-    for k in range(-first, 2 * times):
-        v = v + fade[:, None] * (0.55 if k < 0 else (0.55, -0.56)[k % 2]) * (mean @ v - v)
-    return v
+def smooth_chest(v: Array, faces: Faces, width: float = 0.035) -> Array:
+    """A mannequin's chest: depths (z) averaged over the surface around, faded out at the chest's border."""
+    corner = v[faces]
+    n = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    area = np.bincount(faces.ravel(), np.repeat(np.linalg.norm(n, axis=1), 3), minlength=len(v))
+    ahead = np.bincount(faces.ravel(), np.repeat(n[:, 2], 3), minlength=len(v)) > 0.3 * area
+    front = np.flatnonzero(ahead & (v[:, 2] > 0.0) & (np.abs(v[:, 1] - 0.09) < 0.22))
+    out = v.copy()
+    across, up = np.abs(v[:, 0]) / 0.18, np.abs(v[:, 1] - 0.08) / 0.13
+    fade = (1 - np.clip(across, 0, 1) ** 4) * (1 - np.clip(up, 0, 1) ** 4)
+    for k in front[fade[front] > 0]:
+        near = area[front] * np.exp(-np.sum((v[front] - v[k])[:, :2] ** 2, axis=1) / width**2 / 2)
+        out[k, 2] += fade[k] * (near @ v[front, 2] / near.sum() - v[k, 2])
+    return out
 
 
 def seen_outside(v: Array, faces: Faces, views: int = 32, rings: int = 2) -> Faces:

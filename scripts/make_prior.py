@@ -9,15 +9,18 @@ frames with a fault of the capture (`mocap.faults`) are left out.
 from __future__ import annotations
 
 import argparse
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
-from mocap import dataset
+from learned.training import corpus
+from mocap import Motion, dataset
 from mocap import orientation as ori
-from mocap.skeleton import JOINTS
+from mocap.skeleton import JOINTS, Skeleton
 
-RATE_HZ = 60.0
+RATE_HZ = corpus.RATE_HZ
 STEP = 6  # frames between poses
 BANK = 2000
 STILL_RAD = np.deg2rad(0.5)  # an angle that varies less than this never moves
@@ -34,9 +37,22 @@ ANATOMY = {
 }
 
 
-def angles(motion: dataset.Motion) -> np.ndarray:
+def angles(motion: Motion) -> np.ndarray:
     """Body angles (T,69) in rad, principal chart."""
     return ori.log(motion.R_parent_joint[:, 1:]).reshape(len(motion), 69)
+
+
+def motions() -> Iterator[Motion]:
+    """The training clips of a second or more, low-passed, from the cache that training reads them into."""
+    found = corpus.read(
+        dataset.select("train", ("cmu",)),
+        lambda i, n: print(f"\rreading {i} of {n} motions", end="\n" * (i == n), file=sys.stderr),
+    )
+    for start, length in zip(found.start, found.length, strict=True):
+        if length >= RATE_HZ:
+            at = slice(start, start + length)
+            R, p = ori.from_quat(found.q[at].astype(float)), found.p[at].astype(float)
+            yield Motion(RATE_HZ, R, p, Skeleton.default(), trusted=found.sound[at])
 
 
 def steady(trusted: np.ndarray) -> np.ndarray:
@@ -50,7 +66,7 @@ def main() -> None:
     output = parser.parse_args().output
     poses, weights, rough = [], [], []
     clips = 0
-    for _, motion in dataset.clips("train", ("cmu",), RATE_HZ, min_s=1.0):
+    for motion in motions():
         assert motion.trusted is not None
         if not steady(motion.trusted).any() or not motion.trusted[::STEP].any():
             continue

@@ -12,16 +12,12 @@ from learned.config import Config
 from learned.dip.features import dip_input, dip_pose, dip_target
 from learned.dip.loss import loss
 from learned.dip.network import ACC, POSE, BiRNN, FeedForward, Gaussian, WaveNet
-from learned.dip.specification import SPECIFICATION
 from learned.features import Scaler
 from learned.model import Model
-from mocap.errors import SensorError, ShapeError
+from mocap.errors import ShapeError
 from mocap.evaluation.metrics import DIP_JOINTS
 
 if TYPE_CHECKING:
-    from learned.dip.window import DipWindow
-    from learned.runtime import Runtime
-    from learned.training.validation import Windowed
     from learned.training.virtual import Batch
 
 SCALER_BATCHES = 40  # of 64 windows, that the scalers are fitted to
@@ -145,12 +141,6 @@ class Dip(Model):
         full[..., list(DIP_JOINTS), :] = var.sqrt()
         return full * self.deviation_scale[:, None]
 
-    def calibrate(self, windows: Windowed, trained: Windowed | None) -> None:
-        """`learned.dip.deviations.calibrate`."""
-        from learned.dip.deviations import calibrate
-
-        calibrate(self, windows, trained)
-
     @property
     def layers(self) -> tuple[nn.Linear, nn.LSTM] | None:
         """Of the recurrent architectures."""
@@ -160,17 +150,3 @@ class Dip(Model):
         """Means and deviations of one frame."""
         out: Gaussian = self.net.heads(features)  # type: ignore[operator]
         return out
-
-    def window(
-        self,
-        sensors: tuple[str, ...],
-        places: tuple[str, ...],
-        window: tuple[int, int] | None,
-        runtime: Runtime,
-    ) -> DipWindow:
-        """`learned.dip.window.DipWindow`."""
-        from learned.dip.window import DipWindow
-
-        if places != self.config.sensors:
-            raise SensorError(f"DIP reads {', '.join(self.config.sensors)}, in this order")
-        return DipWindow(self, window or SPECIFICATION.window, sensors, runtime)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from learned.specification import Specification
+from learned.spec import Specification
 from mocap import sensors as places
 
 SPECIFICATION = Specification(
@@ -18,4 +18,6 @@ SPECIFICATION = Specification(
     window_changes=True,
     most_windows=1500,
     model="learned.dip.model:Dip",
+    online="learned.dip.window:window",
+    deviations="learned.dip.deviations:calibrate",
 )

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from learned.dip.model import Dip
+from learned.dip.specification import SPECIFICATION
 from learned.online.estimator import NetworkPose
 from learned.runtime import Runtime, prepare
 from mocap.errors import PoserError, SensorError
@@ -140,3 +141,16 @@ class DipWindow:
         if self._relative:
             return self._computed(state.samples[index])
         return torch.as_tensor(state.rows[index] if jump else state.rows)
+
+
+def window(
+    model: Dip,
+    sensors: tuple[str, ...],
+    places: tuple[str, ...],
+    frames: tuple[int, int] | None,
+    runtime: Runtime,
+) -> DipWindow:
+    """`Specification.online`. Raises SensorError for other places than DIP's, PoserError for a window."""
+    if places != SPECIFICATION.places:
+        raise SensorError(f"DIP reads {', '.join(SPECIFICATION.places)}, in this order")
+    return DipWindow(model, frames or SPECIFICATION.window, sensors, runtime)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import torch
 from torch import Tensor, nn
@@ -13,16 +11,9 @@ from learned.imuposer import combinations
 from learned.imuposer.features import imuposer_input, imuposer_pose
 from learned.imuposer.loss import loss
 from learned.imuposer.network import BiLSTM
-from learned.imuposer.specification import COMBINATIONS, FRAMES, SPECIFICATION
+from learned.imuposer.specification import COMBINATIONS
 from learned.model import Model
-from mocap.errors import PoserError, SensorError
-from mocap.sensors import FIVE
 from mocap.skeleton import Skeleton
-
-if TYPE_CHECKING:
-    from learned.imuposer.window import ImuposerWindow
-    from learned.runtime import Runtime
-    from learned.training.validation import Windowed
 
 
 class Imuposer(Model):
@@ -66,12 +57,6 @@ class Imuposer(Model):
         """Local rotations (...,24,3,3); the root's is predicted too."""
         return imuposer_pose(out)
 
-    def calibrate(self, windows: Windowed, trained: Windowed | None) -> None:
-        """`learned.imuposer.deviations.calibrate`."""
-        from learned.imuposer.deviations import calibrate
-
-        calibrate(self, windows, trained)
-
     @property
     def layers(self) -> tuple[nn.Linear, nn.LSTM]:
         """Dense and LSTM."""
@@ -81,22 +66,3 @@ class Imuposer(Model):
         """144 numbers of one frame."""
         out: Tensor = self.net.head(features)
         return out
-
-    def window(
-        self,
-        sensors: tuple[str, ...],
-        places: tuple[str, ...],
-        window: tuple[int, int] | None,
-        runtime: Runtime,
-    ) -> ImuposerWindow:
-        """`learned.imuposer.window.ImuposerWindow`."""
-        from learned.imuposer.window import ImuposerWindow
-
-        if window not in (None, SPECIFICATION.window):
-            raise PoserError(f"IMUPoser's window is {FRAMES} frames")
-        odd = [p for p in places if p not in FIVE]
-        if odd or not places:
-            raise SensorError(
-                f"sensor {', '.join(odd) or '(none)'}: IMUPoser reads {', '.join(FIVE)}"
-            )
-        return ImuposerWindow(self, sensors, tuple(map(FIVE.index, places)), runtime=runtime)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from learned.specification import Specification
+from learned.spec import Specification
 from mocap import sensors as places
 
 COMBINATIONS: tuple[tuple[int, ...], ...] = (
@@ -37,4 +37,6 @@ SPECIFICATION = Specification(
     refiners={"adam": "learned.imuposer.adam:AdamEstimator"},
     everyday=(("left_wrist", "right_pocket", "head"), ("left_wrist", "right_wrist", "head")),
     model="learned.imuposer.model:Imuposer",
+    online="learned.imuposer.window:window",
+    deviations="learned.imuposer.deviations:calibrate",
 )  # fmt: skip

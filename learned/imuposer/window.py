@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from learned.errors import CheckpointError
 from learned.imuposer.features import ACC_WINDOW, imuposer_input, imuposer_pose
 from learned.imuposer.model import Imuposer
-from learned.imuposer.specification import COMBINATIONS, FRAMES
+from learned.imuposer.specification import COMBINATIONS, FRAMES, SPECIFICATION
 from learned.online.estimator import NetworkPose
 from learned.runtime import Runtime, prepare
 from mocap import sensors as places
-from mocap.errors import SensorError
+from mocap.errors import PoserError, SensorError
 from mocap.orientation import Array
 
 _EDGE = (
@@ -157,3 +157,21 @@ class ImuposerWindow:
 
 def _names(worn: tuple[int, ...]) -> str:
     return ", ".join(places.FIVE[p] for p in worn)
+
+
+def window(
+    model: Imuposer,
+    sensors: tuple[str, ...],
+    stands_for: tuple[str, ...],
+    frames: tuple[int, int] | None,
+    runtime: Runtime,
+) -> ImuposerWindow:
+    """`Specification.online`. Raises SensorError for places not IMUPoser's, PoserError for a window."""
+    if frames not in (None, SPECIFICATION.window):
+        raise PoserError(f"IMUPoser's window is {FRAMES} frames")
+    odd = [p for p in stands_for if p not in places.FIVE]
+    if odd or not stands_for:
+        five = ", ".join(places.FIVE)
+        raise SensorError(f"sensor {', '.join(odd) or '(none)'}: IMUPoser reads {five}")
+    place = tuple(places.FIVE.index(p) for p in stands_for)
+    return ImuposerWindow(model, sensors, place, runtime=runtime)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from learned.model import Model
-from learned.online.estimator import Online
+from learned.online.estimator import Online, RollingWindow
 from learned.runtime import Precision, prepare
+from learned.spec import named
 from mocap.skeleton import Skeleton
 
 
@@ -28,5 +29,7 @@ def stream(
     spec = model.config.specification
     sensors = spec.places if sensors is None else tuple(sensors)
     places = sensors if places is None else tuple(places)
-    rolling = model.window(sensors, places, window, prepare(model, precision))
+    rolling: RollingWindow = named(spec.online)(
+        model, sensors, places, window, prepare(model, precision)
+    )
     return Online(rolling, rate_hz, skeleton, spec.tracker)

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from learned.model import Model
+from learned.spec import named
 from learned.training.validation import Windowed
 from mocap import orientation as ori
 from mocap.skeleton import MIRROR
@@ -29,7 +30,7 @@ def calibrate(model: Model, windows: Windowed, trained: Windowed | None = None) 
     """
     model.eval()
     with torch.inference_mode(False), torch.no_grad():
-        model.calibrate(windows, trained)
+        named(model.config.specification.deviations)(model, windows, trained)
 
 
 def both_ways(error: Tensor, weight: Tensor) -> Tensor:

@@ -72,7 +72,7 @@ def side_score(
     # Since the pose, in the wearer's world: B(t) B(pose)^T.
     D = here @ R[ok] @ np.swapaxes(here @ pose.R_world_sensor[worn], -1, -2)
     acc = (here @ R[ok] @ raw.acc[ok][:, worn, :, None])[..., 0] - np.array([0, ori.GRAVITY, 0])
-    cues = _cues(D, face.lowpass(acc, LOWPASS_HZ, raw.rate_hz), raw.rate_hz)
+    cues = side_cues(D, face.lowpass(acc, LOWPASS_HZ, raw.rate_hz), raw.rate_hz)
     score = _sum(WEIGHTS[kind], cues)
     if kind == "shank":
         return score
@@ -86,7 +86,7 @@ def _sum(weights: dict[str, float], cues: dict[str, float]) -> float:
     return float(sum(w * np.clip(cues[c], -LONGEST, LONGEST) for c, w in weights.items()))
 
 
-def _cues(D: Array, acc: Array, rate_hz: float) -> dict[str, float]:
+def side_cues(D: Array, acc: Array, rate_hz: float) -> dict[str, float]:
     """The cues of (pelvis, left, right): D (N,3,3,3) since the pose, acc (N,3,3) m/s^2 without gravity."""
 
     def low(x: Array, cutoff_hz: float = LOWPASS_HZ) -> Array:

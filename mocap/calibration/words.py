@@ -1,6 +1,6 @@
 """The sentences of calibration: what each finding says to a person, with its numbers, and what to do.
 
-One function for each code, from the finding's details; nothing else words them.
+One template or function for each code, from the finding's details; nothing else words them.
 """
 
 from __future__ import annotations
@@ -33,8 +33,11 @@ def clause(finding: Finding) -> str:
     """The sentence without the sensor's name at its beginning."""
     if "said" in finding.details:
         return str(finding.details["said"]).removeprefix(f"sensor {finding.sensor}: ")
+    words = _WORDS[finding.code]
+    if isinstance(words, str):
+        return words.format(**finding.details)
     of_sensor = finding.sensor is not None
-    return _WORDS[finding.code](dict(finding.details) | {"code": finding.code, "single": of_sensor})
+    return words(dict(finding.details) | {"code": finding.code, "single": of_sensor})
 
 
 def summary(findings: Sequence[Finding]) -> str:
@@ -71,42 +74,11 @@ def _no_data(d: Details) -> str:
     return f"only {d['count']} valid samples, {d['least']} (1 s) are needed: {leave}"
 
 
-def _gravity(why: Callable[[Details], str]) -> Callable[[Details], str]:
-    return lambda d: f"a still sensor reads {d['reads']:.3g}, expected 9.81 m/s^2: {why(d)}"
-
-
-def _without_gravity(d: Details) -> str:
-    return (
-        f"gravity seems to be removed already ({d['constant']:.2g} in the mean over half a second), and the "
-        f"specific force with gravity is needed"
-    )
-
-
-def _unit(d: Details) -> str:
-    if d.get("likely") == "mg":
-        return "acc is in mg or cm/s^2, divide by 1000/9.80665 or by 100"
-    return "its unit is unknown"
-
-
 def _clipping(d: Details) -> str:
     unit = "m/s^2" if d["what"] == "acc" else "rad/s"
     return (
         f"{d['what']} stays at its limit of {d['limit']:.4g} {unit} for {d['samples']} samples: the "
         f"sensor's range is too small for this motion"
-    )
-
-
-def _frozen(d: Details) -> str:
-    return (
-        f"repeats one sample for {d['seconds']:.1f} s from {d['start_s']:.1f} s on while the body moves: it "
-        f"is frozen or its channel is dead"
-    )
-
-
-def _copied(d: Details) -> str:
-    return (
-        f"gyr and acc are those of {d['of']} (alike to {d['likeness']:.4f}): one channel was copied to the "
-        f"other"
     )
 
 
@@ -127,6 +99,10 @@ def _scale(d: Details) -> str:
     )
 
 
+_UNITS = {
+    "mg": "acc is in mg or cm/s^2, divide by 1000/9.80665 or by 100",
+    None: "its unit is unknown",
+}
 _MISTAKES = {
     "transposed": "orientation is given as sensor-from-world (transposed), world-from-sensor is expected",
     "wxyz-taken": "quaternions look like x, y, z, w where w, x, y, z was taken for granted",
@@ -134,13 +110,6 @@ _MISTAKES = {
     "world": "orientation is given in another world, its up is {up} here and must be y (--units y-up or "
     "z-up tells readers of text files)",
 }
-
-
-def _orientation(d: Details) -> str:
-    return (
-        f"turned by its orientation, acc is {d['up_deg']:.0f} deg from upright in the mean, and gyr is "
-        f"{d['rate_off']:.0%} off the rate of it: {_MISTAKES[d['mistake']].format(up=d['up'])}"
-    )
 
 
 _SEEN: dict[str, Callable[[Details], str]] = {
@@ -186,25 +155,11 @@ def _mistake(M: np.ndarray, of: str | None, code: str) -> str:
     return f"{plural} {' and '.join(flipped)} of {of or 'gyr'} {verb} reversed"
 
 
-def _gaps(d: Details) -> str:
-    return (
-        f"{d['share']:.0%} of its samples are missing, the longest gap is {d['longest_s']:.1f} s: its "
-        f"heading may differ behind a gap"
-    )
-
-
 def _lag(d: Details) -> str:
     late = d["late_s"]
     return (
         f"runs {abs(late) * 1000:.0f} ms {'behind' if late > 0 else 'ahead of'} the sensors next to it: its "
         f"clock is not synchronised"
-    )
-
-
-def _not_still(d: Details) -> str:
-    return (
-        f"the wearer moves at the time of the pose, {d['start_s']:.2f} to {d['end_s']:.2f} s "
-        f"({d['rate_deg_s']:.0f} deg/s): name another time, or let it be found"
     )
 
 
@@ -230,21 +185,6 @@ def _posture(d: Details) -> str:
         f"the pose, {d['start_s']:.2f} to {d['end_s']:.2f} s, is not one of standing: {judged} "
         f"{d['tilt_deg']:.0f} deg from where the legs' motion has {them}{bends}. The wearer probably sat; "
         f"{other}"
-    )
-
-
-def _leaning(d: Details) -> str:
-    return (
-        f"leans {d['tilt_deg']:.0f} deg in the pose against the median of the recording: the wearer leaned "
-        f"in the pose, or mostly leans or sits afterwards"
-    )
-
-
-def _slipped(d: Details) -> str:
-    return (
-        f"tilted by {d['tilt_deg']:.0f} deg since the pose when the body stands still again at "
-        f"{d['since_s']:.1f} s, the others by {d['others_deg']:.0f} deg: it slipped on the bone, or that "
-        f"limb was held differently"
     )
 
 
@@ -293,27 +233,6 @@ def _uncertain(d: Details) -> str:
     return f"{what} is known to {d['sigma_deg']:.0f} deg only"
 
 
-def _disagrees(d: Details) -> str:
-    return (
-        f"the motion of legs and trunk says the wearer faced {d['off_deg']:+.0f} deg from where the "
-        f"calibration has it"
-    )
-
-
-def _ambiguous(d: Details) -> str:
-    return (
-        f"the wearer faces {d['facing_deg']:.0f} deg in the sensors' world by the {d['method']}, but it "
-        f"could be the opposite way, {d['opposite_deg']:.0f} deg: give the facing (--facing)"
-    )
-
-
-def _heading_off(d: Details) -> str:
-    return (
-        f"its heading is {d['off_deg']:+.0f} deg from that of the others, by the {d['method']}: its world is "
-        f"not theirs"
-    )
-
-
 def _assumed(d: Details) -> str:
     if d["single"]:
         return (
@@ -351,42 +270,59 @@ def _rival(d: Details) -> str:
     )
 
 
-_WORDS: dict[str, Callable[[Details], str]] = {
+_READS = "a still sensor reads {reads:.3g}, expected 9.81 m/s^2: "
+_TURNED = (
+    "turned by its orientation, acc is {up_deg:.0f} deg from upright in the mean, and gyr is "
+    "{rate_off:.0%} off the rate of it: "
+)
+
+# A template of the details where one serves, else a function of them.
+_WORDS: dict[str, str | Callable[[Details], str]] = {
     "impossible-sample": _impossible,
     "no-data": _no_data,
-    "acc-without-gravity": _gravity(_without_gravity),
-    "acc-in-g": _gravity(lambda d: "acc is in g, multiply by 9.80665"),
-    "acc-unit": _gravity(_unit),
-    "acc-gravity": _gravity(lambda d: "bias or scale of its accelerometer is off"),
+    "acc-without-gravity": _READS
+    + "gravity seems to be removed already ({constant:.2g} in the mean over half a second), and the specific "
+    "force with gravity is needed",
+    "acc-in-g": _READS + "acc is in g, multiply by 9.80665",
+    "acc-unit": lambda d: (_READS + _UNITS[d.get("likely")]).format(**d),
+    "acc-gravity": _READS + "bias or scale of its accelerometer is off",
     "clipping": _clipping,
-    "frozen": _frozen,
-    "copied": _copied,
+    "frozen": "repeats one sample for {seconds:.1f} s from {start_s:.1f} s on while the body moves: it "
+    "is frozen or its channel is dead",
+    "copied": "gyr and acc are those of {of} (alike to {likeness:.4f}): one channel was copied to the other",
     "sampling-rate": _rate,
     "gyr-scale": _scale,
     **dict.fromkeys(
-        ("orientation-transposed", "quaternion-order", "orientation-world"), _orientation
+        ("orientation-transposed", "quaternion-order", "orientation-world"),
+        lambda d: (_TURNED + _MISTAKES[d["mistake"]]).format(**d),
     ),
     **dict.fromkeys(("gyr-axes", "acc-axes", "gyr-in-deg", "gyr-unit"), _axes),
-    "gaps": _gaps,
+    "gaps": "{share:.0%} of its samples are missing, the longest gap is {longest_s:.1f} s: its heading "
+    "may differ behind a gap",
     "lag": _lag,
-    "pose-not-still": _not_still,
+    "pose-not-still": "the wearer moves at the time of the pose, {start_s:.2f} to {end_s:.2f} s "
+    "({rate_deg_s:.0f} deg/s): name another time, or let it be found",
     "pose-ambiguous": _rival,
     "moved-in-pose": _moved,
     "pose-posture": _posture,
-    "pose-leaning": _leaning,
-    "slipped": _slipped,
+    "pose-leaning": "leans {tilt_deg:.0f} deg in the pose against the median of the recording: the "
+    "wearer leaned in the pose, or mostly leans or sits afterwards",
+    "slipped": "tilted by {tilt_deg:.0f} deg since the pose when the body stands still again at "
+    "{since_s:.1f} s, the others by {others_deg:.0f} deg: it slipped on the bone, or that limb was held "
+    "differently",
     "swapped": _swapped,
     "other-pose": _other_pose,
     "facing-uncertain": _uncertain,
-    "facing-disagrees": _disagrees,
-    "facing-ambiguous": _ambiguous,
+    "facing-disagrees": "the motion of legs and trunk says the wearer faced {off_deg:+.0f} deg from "
+    "where the calibration has it",
+    "facing-ambiguous": "the wearer faces {facing_deg:.0f} deg in the sensors' world by the {method}, "
+    "but it could be the opposite way, {opposite_deg:.0f} deg: give the facing (--facing)",
     "facing-assumed": _assumed,
-    "heading-off": _heading_off,
+    "heading-off": "its heading is {off_deg:+.0f} deg from that of the others, by the {method}: its "
+    "world is not theirs",
     "second-pose": _second_pose,
     "second-pose-not-still": lambda d: (
         f"{_second(d)}: the wearer moves then ({d['rate_deg_s']:.0f} deg/s)"
     ),
-    "second-pose-disagrees": lambda d: (
-        f"the second pose is not used: {d['method']} says otherwise of where the wearer faced"
-    ),
+    "second-pose-disagrees": "the second pose is not used: {method} says otherwise of where the wearer faced",
 }

@@ -39,6 +39,18 @@ def parse(text: str, what: str) -> Address:
     return Address(host.strip("[]") or LOCALHOST, int(port))
 
 
+def parse_host(text: str, default_port: int, what: str) -> Address:
+    """`192.168.0.7`, `192.168.0.7:8080`, `8080`, `[::1]:8080`, or nothing for this machine. Raises UsageError
+    naming `what`.
+    """
+    if not text:
+        return Address(LOCALHOST, default_port)
+    bare = not _is_port(text.rpartition(":")[2])
+    if bare and (":" not in text or text.endswith("]")) and not text.isdecimal():
+        return Address(text.strip("[]"), default_port)
+    return parse(text, what)
+
+
 def port(text: str) -> int:
     """The type of an argument: a port to serve on, 0 for any free one."""
     if text != "0" and not _is_port(text):

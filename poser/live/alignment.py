@@ -12,6 +12,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
@@ -108,12 +109,29 @@ def to_sample(
     return Sample(row.time_s, R, acc, valid)
 
 
+class Watch(Protocol):
+    """What stands between rows and samples until the calibration is found. walks: after the pose the wearer
+    has to walk."""
+
+    walks: bool
+
+    def push(self, row: Row) -> Calibration | None:
+        """Take the next row; the calibration once there is one."""
+        ...
+
+    def prompt(self, time_s: float) -> str:
+        """What the wearer should do at a row's time."""
+        ...
+
+
 class PoseWatch:
     """Waits for the wearer to stand still in a known pose, and calibrates from it.
 
     begin_s: rows before this time are not looked at. facing_deg: heading of the wearer's forward in the
     sensors' world (0: +z, 90: +x). give_up_s: how long to wait after `begin_s`.
     """
+
+    walks = False
 
     def __init__(
         self,
@@ -135,6 +153,26 @@ class PoseWatch:
 
         Raises CalibrationError at `give_up_s`, and where the pose shows a fault of the sensors.
         """
+        raw = self.stands(row)
+        if raw is None:
+            return None
+        at = raw.start_s + raw.seconds / 2
+        _, found = calibrate(raw, self.pose, at, facing=self.facing_deg, orientation="file")
+        return found
+
+    def prompt(self, time_s: float) -> str:
+        """What the wearer should do at a row's time."""
+        left = self.begin_s - time_s
+        name = self.pose.upper()
+        if left > 0:
+            return f"get into the {name}-pose, {int(np.ceil(left))} s left"
+        return f"stand still in the {name}-pose"
+
+    def stands(self, row: Row) -> RawRecording | None:
+        """Take the next row; the last POSE_S once the wearer stood still for so long.
+
+        Raises CalibrationError at `give_up_s`.
+        """
         if row.time_s < self.begin_s:
             return None
         self._rows = [*self._rows[-self._length + 1 :], row]
@@ -144,9 +182,7 @@ class PoseWatch:
         if (valid >= ENOUGH).all():
             raw = raw_recording(self._rows, self.sensors, self.rate_hz)
             if _still(raw):
-                at = raw.start_s + raw.seconds / 2
-                _, found = calibrate(raw, self.pose, at, facing=self.facing_deg, orientation="file")
-                return found
+                return raw
         if row.time_s > self.begin_s + self.give_up_s:
             silent = [n for n, v in zip(self.sensors, valid, strict=True) if v < ENOUGH]
             why = f"sensor {', '.join(silent)} is silent" if silent else "nobody stood still"
@@ -161,7 +197,9 @@ def _still(raw: RawRecording) -> bool:
     return bool(max(mean.moved_deg.max(), mean.wobble_deg.max()) < STILL_DEG)
 
 
-def raw_recording(rows: Sequence[Row], sensors: tuple[str, ...], rate_hz: float) -> RawRecording:
+def raw_recording(
+    rows: Sequence[Row], sensors: tuple[str, ...], rate_hz: float, common_heading: bool = True
+) -> RawRecording:
     """Rows as a raw recording: acc = R^T (a + g e_y), gyr_t = Log(R_{t-1}^T R_t) rate.
 
     Where a sensor sent no acceleration, a = 0: rows are looked at for a wearer who stands still.
@@ -174,5 +212,13 @@ def raw_recording(rows: Sequence[Row], sensors: tuple[str, ...], rate_hz: float)
     gyr[0] = gyr[1]
     valid = np.array([r.valid for r in rows])
     return RawRecording(
-        rate_hz, sensors, gyr, acc, None, R, valid, start_s=rows[0].time_s, common_heading=True
+        rate_hz,
+        sensors,
+        gyr,
+        acc,
+        None,
+        R,
+        valid,
+        start_s=rows[0].time_s,
+        common_heading=common_heading,
     )

@@ -16,8 +16,8 @@ import numpy as np
 from mocap.estimator import Estimator, Pose, Sample
 from mocap.skeleton import TOES, Skeleton
 from poser.live.latency import Latency
-from poser.live.sinks import Sink
-from poser.live.sources import Source
+from poser.live.samples import Source
+from poser.live.sinks.protocol import Sink
 
 
 @dataclass

@@ -1,4 +1,4 @@
-"""Messages over Open Sound Control, by the library python-osc (extra `live`)."""
+"""Messages over Open Sound Control, by the library python-osc."""
 
 from __future__ import annotations
 
@@ -34,9 +34,7 @@ def library() -> Any:
     try:
         import pythonosc
     except ImportError as e:
-        raise PoserError(
-            "OSC and VMC need the package 'python-osc': pip install 'poser-imu[live]'"
-        ) from e
+        raise PoserError("OSC and VMC need the package 'python-osc': pip install python-osc") from e
     _quiet()
     return pythonosc
 

@@ -6,12 +6,14 @@ import select
 import socket
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from typing import Any
 
 from mocap import orientation as ori
 from mocap.errors import PoserError
 from poser.live.addresses import Address, resolved
+from poser.live.heard import Heard
 from poser.live.packets import MAX_DATAGRAM, Packet, Rejected
 
 RECEIVE_BYTES = 4 << 20  # asked for: some seconds of a suit at 100 Hz
@@ -43,6 +45,8 @@ class Receiver:
 
     Raises PoserError where the host's name is unknown.
     """
+
+    ended = False  # who listens cannot know
 
     def __init__(self, address: Address, decode: Decoder, clock: Clock = time.monotonic):
         family, self._to = resolved(address, f"cannot listen on {address}", socket.SOCK_DGRAM)
@@ -84,7 +88,7 @@ class Receiver:
         """What waits in the socket: at least one datagram, and no further one from `until_s` on."""
         while True:
             try:
-                datagram = self._socket.recv(MAX_DATAGRAM + 1)
+                datagram, sender, arrival = self._read()
             except BlockingIOError:
                 self._empty_s = self._clock()
                 return
@@ -92,14 +96,28 @@ class Receiver:
                 # Some systems report an earlier send's failure here; it is not about what we receive.
                 self.rejected["receive error"] += 1
                 return
-            arrival = self._clock()
-            for found in self._decode(datagram):
+            for found in self._decoded(datagram, sender, arrival):
                 if isinstance(found, Rejected):
                     self.rejected[found.reason] += 1
                 else:
                     yield found, arrival, self._empty_s
             if self._clock() >= until_s:
                 return
+
+    def _read(self) -> tuple[bytes, Any, float]:
+        """A datagram that waits, who sent it, and when it was found."""
+        datagram, sender = self._socket.recvfrom(MAX_DATAGRAM + 1)
+        return datagram, sender, self._clock()
+
+    def _decoded(
+        self, datagram: bytes, sender: Any, arrival_s: float
+    ) -> Iterator[Packet | Rejected]:
+        """What a datagram holds; kinds of devices that are answered look at its sender, too."""
+        return self._decode(datagram)
+
+    def heard(self) -> Mapping[str, Heard]:
+        """Nothing: these devices send measurements alone."""
+        return {}
 
     def close(self) -> None:
         self._socket.close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -10,8 +11,8 @@ from typing import Protocol, runtime_checkable
 
 from poser.console import complain, say, table
 from poser.live.loop import Report
-from poser.live.sinks import Sink
-from poser.live.sources import MOST_UNKNOWN, Network, Source
+from poser.live.samples import MOST_UNKNOWN, Network, Source
+from poser.live.sinks.protocol import Sink
 
 STATUS_S = 1.0
 RECENT = 300  # poses that the line's latency is of
@@ -41,14 +42,19 @@ class Teller:
         self._listeners = [s for s in sinks if isinstance(s, Listener)]
         self._terminal = sys.stderr is not None and sys.stderr.isatty()
         self._asked_missing = self._asked_unknown = not isinstance(source, Network)
+        self._led: str | None = None
+        self._checked = False
 
     def tell(self, report: Report) -> None:
         now = self._clock()
         if now - self._told < STATUS_S:
             return
         self._told = now
-        if isinstance(self._source, Network) and now - self._began >= PATIENCE_S:
-            self._ask(self._source)
+        if isinstance(self._source, Network):
+            self._lead(self._source)
+            self._check(self._source)
+            if now - self._began >= PATIENCE_S:
+                self._ask(self._source)
         if not (self._terminal or self._listeners):
             return
         text = status(report, self._source)
@@ -57,6 +63,29 @@ class Teller:
         if self._terminal:
             sys.stderr.write(f"\r{_fitted(text)}\x1b[K")
             sys.stderr.flush()
+
+    def _check(self, source: Network) -> None:
+        """Once the pose was found: what the calibration rests on, and what is doubtful about it."""
+        if self._checked or source.calibration is None:
+            return
+        from mocap.calibration import words
+
+        self._checked = True
+        found = source.calibration
+        self._complain(f"calibrated; where you face: {found.method}")
+        for finding in found.diagnostics:
+            if finding.severity != "info":
+                self._complain(f"{finding.severity}: {words.sentence(finding)}")
+
+    def _lead(self, source: Network) -> None:
+        """Where no line counts the seconds down: a sentence for each thing that the wearer is to do, behind
+        the first, which was told at the start."""
+        if source.missing or not source.prompt:
+            return
+        what = re.sub(r"\d+", "", source.prompt)
+        if self._led not in (None, what) and not self._terminal:
+            self._complain(source.prompt)
+        self._led = what
 
     def _ask(self, source: Network) -> None:
         """Say what the wearer has to see to, once."""
@@ -119,8 +148,10 @@ def status(report: Report, source: Source) -> str:
 
 
 def _waiting(source: Network) -> str:
-    """What the pose still wants: sensors that have come at all."""
+    """What the pose still wants: sensors that have come at all, and then what the wearer should do."""
     words = ["waiting for the pose"]
+    if source.prompt and not source.missing:
+        words[0] += f": {source.prompt}"
     if source.missing:
         words.append(f"nothing yet from {', '.join(source.missing)}")
     if source.unknown:

@@ -12,7 +12,7 @@ import numpy as np
 from mocap.body import Look
 from mocap.synthesis.staging import floors_of
 from poser.viewer import stage
-from poser.viewer.tracks import Track
+from poser.viewer.tracks import Track, clock
 
 RATE_HZ = 30.0  # of updates: a browser's connection, not the motion's rate
 STEP_S = 0.01  # of the timeline
@@ -32,12 +32,9 @@ class Player:
 
     def __init__(self, made: Any, tracks: Sequence[Track], body: Look | None = None):
         self._server, self._tracks = made, tracks
-        begin = min((t.start_s for t in tracks if t.start_s is not None), default=0.0)
-        self._starts = [begin if t.start_s is None else t.start_s for t in tracks]
-        ends = [a + t.seconds for a, t in zip(self._starts, tracks, strict=True)]
-        self.begin_s, self.end_s = begin, max(ends)
-        latest = max(self._starts)
-        self.first_s = latest if latest < min(ends) else begin
+        when = clock(tracks)
+        self._starts = when.starts
+        self.begin_s, self.end_s, self.first_s = when.begin, when.end, when.first
         middle = (len(tracks) - 1) / 2
         # The first file stands at the left of the picture, which is the bodies' right.
         shifts = [np.array([(k - middle) * SPACING_M, 0.0, 0.0]) for k in range(len(tracks))]
@@ -138,11 +135,11 @@ class Player:
             s = track.sensors
             figure.show_sensors(s.R_world_bone[k], s.p_world[k] - back, s.valid[k])
 
-    def run(self, stop: threading.Event, clock: Callable[[], float] = time.monotonic) -> None:
+    def run(self, stop: threading.Event, tick: Callable[[], float] = time.monotonic) -> None:
         """Play until `stop` is set."""
-        before = clock()
+        before = tick()
         while not stop.wait(1.0 / RATE_HZ):
-            now = clock()
+            now = tick()
             try:
                 self.step(now - before)
             except RuntimeError as e:

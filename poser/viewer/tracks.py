@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -45,9 +46,36 @@ class Track:
         """From the first frame to the last."""
         return (len(self.motion) - 1) / self.motion.rate_hz
 
+    def named(self, label: str) -> Track:
+        """The same under another name."""
+        return replace(self, label=label)
+
     def frame(self, time_s: float) -> int:
         """The frame so long after the first; the ends hold."""
         return min(len(self.motion) - 1, max(0, round(time_s * self.motion.rate_hz)))
+
+
+@dataclass(frozen=True)
+class Clock:
+    """One time for several tracks: those that state theirs are shown by one clock, the others begin with it.
+
+    starts: where each begins. begin, end: of all. first: from where all of them have begun, if they ever all
+    last.
+    """
+
+    starts: tuple[float, ...]
+    begin: float
+    end: float
+    first: float
+
+
+def clock(tracks: Sequence[Track]) -> Clock:
+    """The clock of some tracks, in s."""
+    begin = min((t.start_s for t in tracks if t.start_s is not None), default=0.0)
+    starts = tuple(begin if t.start_s is None else t.start_s for t in tracks)
+    ends = [a + t.seconds for a, t in zip(starts, tracks, strict=True)]
+    latest = max(starts)
+    return Clock(starts, begin, max(ends), latest if latest < min(ends) else begin)
 
 
 def read(path: Path, options: Options | None = None) -> Track:

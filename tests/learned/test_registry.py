@@ -19,7 +19,7 @@ from learned.errors import CheckpointError
 from learned.model import Model, build
 from learned.online.estimator import NetworkPose
 from learned.registry import NETWORKS, specification
-from learned.specification import Specification
+from learned.spec import Specification, named
 from learned.training.corpus import pack
 from learned.training.export import export
 from learned.training.settings import TrainSettings
@@ -42,6 +42,8 @@ TOY = Specification(
     window=(3, 0),
     most_windows=20,
     model="tests.learned.test_registry:Toy",
+    online="tests.learned.test_registry:window",
+    deviations="tests.learned.test_registry:calibrate",
     schedule={"batch": 4, "frames": 8, "learning_rate": 1e-2},
     tracker={"spine": False},
 )
@@ -64,11 +66,13 @@ class Toy(Model):
     def pose(self, out: Any, R_world_bone: Tensor) -> Tensor:
         return from_6d(out.unflatten(-1, (24, 6)))
 
-    def calibrate(self, windows: Any, trained: Any) -> None:
-        self.error_covariance.copy_(0.1 * torch.eye(72))
 
-    def window(self, sensors: tuple[str, ...], names: Any, window: Any, runtime: Any) -> ToyWindow:
-        return ToyWindow(self, sensors)
+def calibrate(model: Toy, windows: Any, trained: Any) -> None:
+    model.error_covariance.copy_(0.1 * torch.eye(72))
+
+
+def window(model: Toy, sensors: tuple[str, ...], names: Any, frames: Any, way: Any) -> ToyWindow:
+    return ToyWindow(model, sensors)
 
 
 class ToyWindow:
@@ -119,7 +123,7 @@ def test_every_model_keeps_what_its_specification_says() -> None:
     for spec in NETWORKS.values():
         for architecture in spec.architectures:
             model = build(for_network(spec.name, architecture=architecture, hidden=8))
-            assert isinstance(model, spec.model_class())
+            assert type(model) is named(spec.model)
             assert model.config.specification is spec and model.config.network == spec.name
         assert spec.trained_on([spec.places[i] for i in spec.combinations[-1]])
         assert set(spec.places) <= set(places.PLACES)

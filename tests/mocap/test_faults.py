@@ -163,3 +163,17 @@ def test_trials_of_modern_dance(name: str, most_s: float, mended: bool) -> None:
     R = found.motion.R_parent_joint
     step = np.rad2deg(ori.angle_between(R[1:, :10], R[:-1, :10]))
     assert step.max() < 60
+
+
+def test_a_side_entered_without_a_jump_is_left_where_the_leg_is_twisted() -> None:
+    """It is entered within 12 frames, none of them a jump, and left by one."""
+    truth = walking()
+    other = other_side(truth, LEG, slice(None))
+    R = np.array(other_side(truth, LEG, slice(112, 250)).R_parent_joint)
+    for j in LEG[::2]:
+        ends = np.stack([truth.R_parent_joint[100, j], other.R_parent_joint[112, j]])
+        R[100:112, j] = ori.interpolate(np.array([100.0, 112.0]), ends, np.arange(100.0, 112.0))
+    found = faults.mend(replace(truth, R_parent_joint=R))
+    far = error_deg(found, truth)
+    assert far[found.trusted].max() < 90 and far[120:].max() < 1e-4 and far[:95].max() < 1e-4
+    assert not found.trusted[105:107].any() and (~found.trusted).sum() < 20

@@ -52,4 +52,7 @@ def test_the_shortest_motion_to_calibrate_is_long_enough() -> None:
 
 def test_every_example_is_tested() -> None:
     names = {p.stem for p in EXAMPLES.glob("*.py")}
-    assert names == {name for name, *_ in RUN} | {"send_udp"}  # that one in live/test_sender.py
+    assert names == {name for name, *_ in RUN} | {
+        "send_udp",
+        "slimevr_set",
+    }  # in live/test_sender.py, test_quickstart.py

@@ -234,7 +234,9 @@ def test_what_a_recording_has_no_use_for_is_refused(
     """Defaults, too, where they are given."""
     got, sentence = refusal("live", "--source", live, option, value)
     assert got == 2
-    assert f"argument {option}: for sensors from the network, not for a recording" in sentence
+    assert (
+        f"argument {option}: for sensors that are heard, not for a calibrated recording" in sentence
+    )
 
 
 def test_without_a_sink_a_note_says_so(
@@ -378,4 +380,4 @@ def test_without_the_extra_a_sentence_names_it(
     monkeypatch.setitem(sys.modules, "pythonosc", None)
     got, sentence = refusal("live", "--source", live, "--sink", "vmc:39539")
     assert got == 1
-    assert "pip install 'poser-imu[live]'" in sentence
+    assert "pip install python-osc" in sentence

@@ -448,7 +448,7 @@ def test_the_hybrid_and_adam_know_where_the_recordings_sensors_sit(place: Path) 
         assert hybrid.sensors == adam.sensors == ("left_wrist", "right_wrist", "head")
         # In the network's order, which is not the recording's.
         own = [19, 18, 15] if joint is not None else [18, 19, 15]
-        assert list(adam.joint) == list(hybrid.refinement.joint) == own
+        assert list(adam.joint) == list(hybrid.refinement.worn.joint) == own
         table = sensors.joints_and_seats(hybrid.sensors)[1]
         seats = recording.placement[[2, 0, 1]] if seat is not None else table
         np.testing.assert_array_equal(hybrid.refinement.kinematics.seat, seats)

@@ -22,7 +22,7 @@ from mocap import sensors, synthesis
 from mocap.formats.bvh import write_motion as write_bvh
 from mocap.formats.native import write_recording
 from mocap.synthesis import generated, motions
-from poser import training
+from poser import training, training_collections
 from poser.__main__ import main
 from poser.commands import train as train_command
 from tests.poser.runs import SMALL, three_clips, together
@@ -167,13 +167,13 @@ def test_the_covariance_is_of_the_share_that_was_learnt(
     for k, path in enumerate(sorted(clips.rglob("clip*.npz"))):
         (tmp_path / "m" / str(k)).mkdir(parents=True)
         (tmp_path / "m" / str(k) / "clip.npz").write_bytes(path.read_bytes())
-    cut, shown = train_command._windows, []
+    cut, shown = training_collections.windows, []
 
     def watched(network: str, paths: Any) -> Any:
         shown.append(sorted(p.parent.name for p in paths))
         return cut(network, paths)
 
-    monkeypatch.setattr(train_command, "_windows", watched)
+    monkeypatch.setattr(training_collections, "windows", watched)
     words = ["train", "dip", tmp_path / "m", *SMALL, "--steps", "2"]
     for share in ("1", "0.5"):
         out = tmp_path / f"r{share}"
@@ -451,7 +451,8 @@ def test_two_processes_train_one_network(clips: Path, tmp_path: Path, network: l
     code = (
         "import sys\n"
         "from learned.training import trainer as train\n"
-        "train._SCALER_BATCHES = 1\n"
+        "from learned.dip import model\n"
+        "model.SCALER_BATCHES = 1\n"
         "run = train.Trainer.run\n"
         "def told(self, progress=None):\n"
         "    out = run(self, progress)\n"

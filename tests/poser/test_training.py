@@ -100,7 +100,8 @@ def test_nonsense_is_refused(
 CODE = """
 import sys, torch
 from learned.training import trainer as train
-train._SCALER_BATCHES = 1
+from learned.dip import model
+model.SCALER_BATCHES = 1
 torch.set_num_threads(1)
 train.bfloat16_pays = lambda device, before: {rank} == 0  # the first one measures for both
 

@@ -138,7 +138,7 @@ def test_what_cannot_be_viewed(folder: Path, refusal: Any, monkeypatch: pytest.M
     monkeypatch.setitem(sys.modules, "viser", None)
     status, sentence = refusal("view", folder / "walk.npz", "--no-browser")
     assert status == 1
-    assert "pip install 'poser-imu[live]'" in sentence
+    assert "pip install viser" in sentence
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from mocap.calibration.checks.orientations import explained
 from mocap.calibration.evidence import gather
 from mocap.calibration.measures import constant_force, rate_ratio, usual_force
 from mocap.calibration.spikes import without_spikes
+from mocap.errors import CalibrationError
 from mocap.findings import Finding
 from mocap.recording import RawRecording
 from mocap.synthesis import NOISES, raw_recording
@@ -176,6 +177,17 @@ def test_orientation_written_the_wrong_way(
     assert named == {SENSORS[0]} if of == "one" else set(SENSORS[:3]) <= named
 
 
+def test_a_refusal_names_the_orientation_and_not_the_axes_it_makes_wrong(raw: RawRecording) -> None:
+    assert raw.R_world_sensor is not None
+    R = np.array(raw.R_world_sensor)
+    has = np.isfinite(R).all((-1, -2))
+    has[:, [0, 1, 3]] = False
+    R[has] = ori.from_quat(np.roll(ori.to_quat(R[has]), 1, axis=-1))
+    with pytest.raises(CalibrationError, match="quaternions look like") as refused:
+        calibrate(replace(raw, R_world_sensor=R), at=1.0)
+    assert ";" not in str(refused.value) and "axes" not in str(refused.value)
+
+
 def test_the_right_orientation_is_left_alone(raw: RawRecording) -> None:
     assert raw.R_world_sensor is not None
     for s in range(len(SENSORS)):
@@ -278,6 +290,18 @@ def test_too_few_samples_say_how_many_are_needed(raw: RawRecording) -> None:
     sentences = [sentence(f) for f in check_sensors(short)]
     assert len(sentences) == 4
     assert all("valid samples, 60 (1 s) are needed" in s and "--sensors" in s for s in sentences)
+
+
+def test_a_sensor_with_few_samples_in_the_pose_is_told_of_and_nothing_fails(
+    raw: RawRecording,
+) -> None:
+    """12 samples are too few to be parted into a before and an after."""
+    valid = np.zeros_like(raw.valid)
+    valid[:, [0, 2, 3]] = raw.valid[:, [0, 2, 3]]
+    valid[40:52, 1] = True
+    cut = replace(raw, valid=valid & np.isfinite(raw.gyr).all(-1))
+    _, cal = calibrate(cut, at=0.8, facing=0.0, strict=False)
+    assert (SENSORS[1], "no-data") in {(f.sensor, f.code) for f in cal.diagnostics}
 
 
 def test_usual_force_is_gravity_in_motion(raw: RawRecording) -> None:

@@ -11,7 +11,7 @@ from mocap import orientation as ori
 from mocap import sensors as places
 from mocap.calibration import limb_levels
 from mocap.calibration.checks import pairs, sides
-from mocap.calibration.sides import FLOOR, _cues, side_score
+from mocap.calibration.sides import FLOOR, side_cues, side_score
 from mocap.motion import Motion
 from mocap.recording import RawRecording
 from mocap.synthesis.motions import builtin, walk
@@ -126,7 +126,7 @@ def test_the_side_to_which_up_tilts_is_independent_of_what_the_pelvis_does() -> 
     turned = ori.rot_y(3.0 * np.sin(t))
     D = np.stack([turned, turned @ ori.rot_z(angle), turned @ ori.rot_z(-angle)], axis=1)
     x = 2 * np.sin(angle)
-    cues = _cues(D, np.zeros((400, 3, 3)), 60.0)
+    cues = side_cues(D, np.zeros((400, 3, 3)), 60.0)
     np.testing.assert_allclose(cues["tilt"], x.mean() / (x.std() + FLOOR), atol=1e-9)
     np.testing.assert_allclose(cues["outward"], 0.0, atol=1e-6)
 
@@ -141,5 +141,5 @@ def test_a_body_that_turns_throws_its_left_side_outward_and_back() -> None:
     at = 0.1 * (np.gradient(w, t)[:, None] * back - w[:, None] ** 2 * left)
     acc = np.stack([np.zeros_like(at), at, -at], axis=1)
     D = np.repeat(ori.rot_y(heading)[:, None], 3, axis=1)
-    cues = _cues(D, acc, 60.0)
+    cues = side_cues(D, acc, 60.0)
     assert cues["turning"] > 0.95 and cues["round"] > 0.95

@@ -22,8 +22,8 @@ from poser.live import loop, osc, packets, telling
 from poser.live.addresses import Address
 from poser.live.assembler import Assembler
 from poser.live.receiver import Receiver, y_up
-from poser.live.sinks import MotionFile
-from poser.live.sources import Network, Replay
+from poser.live.samples import Network, Replay
+from poser.live.sinks.motion_file import MotionFile
 from tests.poser.live.conftest import Hold, packets_of
 
 BODY = Skeleton.default()

@@ -17,15 +17,18 @@ from poser.live import alignment, telling
 from poser.live.alignment import PoseWatch
 from poser.live.assembler import Assembler
 from poser.live.devices import Preferences, Tracker
+from poser.live.heard import Heard
 from poser.live.loop import Report
 from poser.live.packets import Packet, Status
-from poser.live.sources import Network
+from poser.live.samples import Network
 
 RATE = 60.0
 
 
 class Script:
     """Packets at their times in place of a socket."""
+
+    ended = False
 
     def __init__(self, packets: list[tuple[float, Packet]]):
         self._packets = sorted(packets, key=lambda p: p[0])
@@ -40,6 +43,9 @@ class Script:
         while self._packets and self._packets[0][0] <= self.now:
             at, packet = self._packets.pop(0)
             yield packet, at, None
+
+    def heard(self) -> dict[str, Heard]:
+        return {}
 
     def close(self) -> None:
         self.closed = True
@@ -70,7 +76,7 @@ def test_the_pose_then_the_motion() -> None:
     where = dict(zip(devices, raw.sensors, strict=True))
     watch = PoseWatch(raw.sensors, RATE, "n", begin_s=0.5)
     box = Assembler(devices, RATE)
-    source = Network(script, box, raw.sensors, where, watch=watch, clock=lambda: script.now)  # type: ignore[arg-type]
+    source = Network(script, box, raw.sensors, where, watch=watch, clock=lambda: script.now)
     got = samples_of(script, source, 5.9)
     assert source.calibration is not None and not source.waiting
     assert 1.9 < got[0].time_s < 2.3
@@ -97,7 +103,7 @@ def test_a_phone_that_changes_places_moves_to_another_sensor() -> None:
     script = Script(packets)
     devices = ("watch", "phone", "earbuds")
     source = Network(
-        script, Assembler(devices, RATE), sensors.FIVE, {}, clock=lambda: script.now,  # type: ignore[arg-type]
+        script, Assembler(devices, RATE), sensors.FIVE, {}, clock=lambda: script.now,
         tracker=Tracker(Preferences("right", "left", "left"), RATE),
     )  # fmt: skip
     got = samples_of(script, source, 5.9)
@@ -126,7 +132,7 @@ def test_the_time_of_samples_is_the_time_they_were_measured(rate: float) -> None
     ]
     script = Script(packets)
     box = Assembler(("head",), rate)
-    source = Network(script, box, ("head",), {"head": "head"}, clock=lambda: script.now)  # type: ignore[arg-type]
+    source = Network(script, box, ("head",), {"head": "head"}, clock=lambda: script.now)
     source.open()
     lags = []
     while script.now < 2.0 + 100 / rate:
@@ -146,7 +152,7 @@ def test_a_loop_that_stands_still_is_behind_by_so_much() -> None:
     ]
     script = Script(packets)
     box = Assembler(("head",), RATE, delay_s=0.1)
-    source = Network(script, box, ("head",), {"head": "head"}, clock=lambda: script.now)  # type: ignore[arg-type]
+    source = Network(script, box, ("head",), {"head": "head"}, clock=lambda: script.now)
     assert source.behind_s(0.0) == 0.0  # nothing heard yet
     source.open()
     samples = []
@@ -165,7 +171,7 @@ def listening(packets: list[tuple[float, Packet]], tracker: Tracker | None = Non
     devices = sensors.SIX if tracker is None else ("watch", "phone", "earbuds")
     watch = PoseWatch(sensors.SIX, RATE, "n") if tracker is None else None
     return Network(
-        script, Assembler(devices, RATE), sensors.SIX, {n: n for n in devices}, watch=watch,  # type: ignore[arg-type]
+        script, Assembler(devices, RATE), sensors.SIX, {n: n for n in devices}, watch=watch,
         tracker=tracker, clock=lambda: script.now,
     )  # fmt: skip
 
@@ -203,10 +209,11 @@ def test_what_the_pose_waits_for_is_named(capsys: pytest.CaptureFixture[str]) ->
     ]
 
 
-def test_nothing_is_asked_of_who_sends_all(capsys: pytest.CaptureFixture[str]) -> None:
+def test_who_sends_all_is_led_through_the_pose(capsys: pytest.CaptureFixture[str]) -> None:
     source = listening(sent(list(sensors.SIX), seconds=6.0))
-    assert told(source, 6.0, capsys) == []
-    assert telling.status(Report(), source) == "waiting for the pose"
+    assert told(source, 6.0, capsys) == ["live: stand still in the N-pose"]
+    line = "waiting for the pose: stand still in the N-pose"
+    assert telling.status(Report(), source) == line
 
 
 def test_tracked_devices_come_and_go(capsys: pytest.CaptureFixture[str]) -> None:
@@ -225,7 +232,7 @@ def test_tracked_devices_come_and_go(capsys: pytest.CaptureFixture[str]) -> None
 def test_names_of_strangers_are_bounded(capsys: pytest.CaptureFixture[str]) -> None:
     """A thousand names, three are kept; the answer at the end has them, too."""
     source = listening(sent([f"x{k}" for k in range(1000)], seconds=0.1))
-    samples_of(source._receiver, source, 0.5)  # type: ignore[arg-type]
+    samples_of(source._intake, source, 0.5)
     facts = source.facts()
     assert facts["unknown_devices"] == ["x0", "x1", "x2"]
     assert facts["rejected"] == {"device unknown": 6000}
@@ -234,7 +241,7 @@ def test_names_of_strangers_are_bounded(capsys: pytest.CaptureFixture[str]) -> N
     assert "refused: device unknown: 6000 (the first of them: x0, x1, x2)\n" in said
     # As wide as they look: a line of these would wrap otherwise.
     source = listening(sent(["\u4e16" * 2], seconds=0.1))
-    samples_of(source._receiver, source, 0.5)  # type: ignore[arg-type]
+    samples_of(source._intake, source, 0.5)
     assert source.facts()["unknown_devices"] == ["\\u4e16\\u4e16"]
 
 

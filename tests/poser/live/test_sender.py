@@ -50,15 +50,14 @@ def test_the_documented_message_is_a_message() -> None:
 
 
 def test_every_reason_of_refusal_is_documented() -> None:
-    text = (ROOT / "docs" / "live.md").read_text()
-    for module in ("packets", "osc", "sources"):
-        source = (ROOT / "poser" / "live" / f"{module}.py").read_text()
-        for reason in re.findall(r'Rejected\("([^"]+)"|rejected\["([^"]+)"\]', source):
-            word = reason[0] or reason[1]
-            assert f"`{word}`" in text or word == "receive error", word
+    text = "".join((ROOT / "docs" / name).read_text() for name in ("live.md", "devices.md"))
+    pattern = r'(?:Rejected\(|rejected\[|fault\(|_answer\(\d+, )"([^"]+)"'
+    for module in sorted((ROOT / "poser" / "live").rglob("*.py")):
+        for word in re.findall(pattern, module.read_text()):
+            assert f"`{word}`" in text or word == "receive error", f"{module.name}: {word}"
 
 
-@pytest.mark.parametrize("module", ["poser.live.loop", "poser.live.sources", "poser.commands.live"])
+@pytest.mark.parametrize("module", ["poser.live.loop", "poser.live.samples", "poser.commands.live"])
 def test_the_extra_is_not_needed_to_import(module: str) -> None:
     code = f"import sys, {module}; print([m for m in ('viser', 'pythonosc') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)

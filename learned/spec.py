@@ -1,7 +1,7 @@
 """What the rest of the system knows of a network: one `Specification` each, without torch.
 
 A new network is one folder with a `SPECIFICATION` and a line in `learned.registry`. Its model, the class that
-`model` names, is a `learned.model.Model`: inputs and targets, loss, poses, deviations, online window.
+`model` names, is a `learned.model.Model`: inputs and targets, loss, poses.
 """
 
 from __future__ import annotations
@@ -9,10 +9,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from learned.model import Model
+from typing import Any
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +32,12 @@ class Specification:
     refiners: what can be put around its estimator, by the word behind the name (`imuposer-adam`), as
     `module:Class`; called with the estimator and each sensor's joint.
     everyday: sets of places to choose where there is more than it reads and nobody chose, best first.
-    model: its `Model`, as `module:Class`; imported once it is needed.
+    model: its `Model`, as `module:Class`; imported, as all of these, once it is needed.
+    online: makes the window that the online runner feeds, as `module:function` called with the model, the
+    sensors' names, the place that each stands for, the window (None: the one above) and a
+    `learned.runtime.Runtime`; gives a `learned.online.estimator.RollingWindow`.
+    deviations: fits what the model says of its own errors, as `module:function`; called as
+    `learned.training.deviations.calibrate` is.
     """
 
     name: str
@@ -47,6 +49,8 @@ class Specification:
     window: tuple[int, int]
     most_windows: int
     model: str
+    online: str
+    deviations: str
     fixed_widths: tuple[str, ...] = ()
     experiments: tuple[str, ...] = ()
     window_changes: bool = False
@@ -69,11 +73,6 @@ class Specification:
         """Whether it is trained on sensors at these places together."""
         have = {self.places.index(p) for p in worn}
         return have in map(set, self.combinations)
-
-    def model_class(self) -> type[Model]:
-        """The class of its models; imports torch."""
-        found: type[Model] = named(self.model)
-        return found
 
 
 def named(path: str) -> Any:

@@ -1,9 +1,9 @@
-"""Where poses go: the protocol of sinks, and the motion file."""
+"""A motion file, written at the end."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -11,16 +11,9 @@ from mocap.estimator import Pose
 from mocap.motion import Motion
 from mocap.skeleton import Skeleton
 from poser import files
+from poser.live.sinks.protocol import Kind, Sink, Told
 
-
-class Sink(Protocol):
-    """name: as the user wrote it. `write` must not raise for what may pass; `close` tells what was done."""
-
-    name: str
-
-    def write(self, pose: Pose) -> None: ...
-
-    def close(self) -> dict[str, Any]: ...
+SUFFIXES = (".npz", ".bvh")
 
 
 class MotionFile:
@@ -55,3 +48,12 @@ class MotionFile:
             R, p = np.array(self._R, float), np.array(self._p)
             files.write(self._path, Motion(self._rate_hz, R, p, self._skeleton))
         return {"frames": len(self._R), "held": self.held}
+
+
+def _make(told: Told) -> Sink:
+    path = Path(told.text)
+    files.check_output(path, [], SUFFIXES)
+    return MotionFile(path, told.rate_hz, told.skeleton)
+
+
+SINK = Kind("file", "FILE.npz, FILE.bvh", "a motion file, written at the end", _make, SUFFIXES)

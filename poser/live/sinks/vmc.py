@@ -13,6 +13,7 @@ hips carry where the body is. SMPL's hand joints have no bone there: the wrists'
 from __future__ import annotations
 
 import socket
+from collections.abc import Callable
 
 import numpy as np
 
@@ -21,7 +22,8 @@ from mocap.estimator import Pose
 from mocap.orientation import Array
 from mocap.skeleton import JOINTS, Skeleton
 from poser.live import osc
-from poser.live.addresses import Address, resolved
+from poser.live.addresses import Address, parse, resolved
+from poser.live.sinks.protocol import Kind, Sink, Told
 
 _SIDED = {"hip": "UpperLeg", "knee": "LowerLeg", "ankle": "Foot", "foot": "Toes", "collar": "Shoulder",
           "shoulder": "UpperArm", "elbow": "LowerArm", "wrist": "Hand"}  # fmt: skip
@@ -73,16 +75,17 @@ def datagrams(pose: Pose, skeleton: Skeleton) -> list[bytes]:
     return bundles
 
 
-class VmcSink:
-    """Sends every pose to an address. failures: datagrams that the system refused to send.
+class OscSink:
+    """Sends every pose to an address, as the datagrams that `encode` makes of it. failures: datagrams that
+    the system refused to send.
 
     Raises PoserError where the host's name is unknown.
     """
 
-    def __init__(self, address: Address, skeleton: Skeleton):
+    def __init__(self, kind: str, address: Address, encode: Callable[[Pose], list[bytes]]):
         osc.library()
-        self.name = f"vmc:{address}"
-        self._skeleton = skeleton
+        self.name = f"{kind}:{address}"
+        self._encode = encode
         # Once: a look-up of a name may take as long as many frames.
         family, self._to = resolved(address, self.name, socket.SOCK_DGRAM)
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
@@ -90,7 +93,7 @@ class VmcSink:
         self.sent = self.failures = 0
 
     def write(self, pose: Pose) -> None:
-        for datagram in datagrams(pose, self._skeleton):
+        for datagram in self._encode(pose):
             try:
                 self._socket.sendto(datagram, self._to)
                 self.sent += 1
@@ -101,3 +104,15 @@ class VmcSink:
     def close(self) -> dict[str, object]:
         self._socket.close()
         return {"sent": self.sent, "failures": self.failures}
+
+
+def sink(address: Address, skeleton: Skeleton) -> OscSink:
+    """Sends every pose of this body to an address."""
+    return OscSink("vmc", address, lambda pose: datagrams(pose, skeleton))
+
+
+def _make(told: Told) -> Sink:
+    return sink(parse(told.text, "argument --sink"), told.skeleton)
+
+
+SINK = Kind("vmc", "vmc:PORT, vmc:HOST:PORT", "VMC: Unity, Unreal, Blender, VSeeFace", _make)

@@ -1,4 +1,4 @@
-"""Where samples come from: a recording at its own pace, or the network."""
+"""Where samples come from: a recording at its own pace, or devices as they are heard."""
 
 from __future__ import annotations
 
@@ -14,10 +14,12 @@ from mocap.estimator import Sample, samples
 from mocap.orientation import Array
 from mocap.recording import Recording
 from poser.live import alignment
-from poser.live.alignment import Constants, PoseWatch, to_sample
+from poser.live.alignment import Constants, Watch, to_sample
 from poser.live.assembler import Assembler, Row
 from poser.live.devices import Tracker
-from poser.live.receiver import Clock, Receiver
+from poser.live.receiver import Clock
+from poser.live.recorder import Recorder
+from poser.live.sources.protocol import Intake
 
 IDLE_S = 0.002  # the longest wait for something to happen, so that rows leave on time
 MOST_UNKNOWN = 3  # names of unknown devices that are kept: senders choose them, and never end
@@ -136,32 +138,33 @@ class Replay:
 
 
 class Network:
-    """Samples of `sensors` from devices on the network.
+    """Samples of `sensors` from devices, through their intake.
 
     where: the place of each device; a device that is not in it is refused. table: see
     `alignment.to_sample`. watch: stands between: no sample before it has found the pose, and its
     calibration is the table then. tracker: tells instead of `where` which devices are worn, and where.
-    seconds: end so long after `open`.
+    seconds: end so long after `open`. recorder: keeps the rows as they come, before any calibration.
     """
 
     def __init__(
         self,
-        receiver: Receiver,
+        intake: Intake,
         assembler: Assembler,
         sensors: tuple[str, ...],
         where: Mapping[str, str],
         table: Mapping[str, Constants] | None = None,
-        watch: PoseWatch | None = None,
+        watch: Watch | None = None,
         tracker: Tracker | None = None,
         seconds: float | None = None,
         clock: Clock = time.monotonic,
+        recorder: Recorder | None = None,
     ):
         self.rate_hz, self.sensors = assembler.rate_hz, sensors
         self.joint: NDArray[np.int64] | None = None
         self.seat: Array | None = None
-        self._receiver, self._assembler, self._clock = receiver, assembler, clock
+        self._intake, self._assembler, self._clock = intake, assembler, clock
         self._where, self._table, self._watch = where, table, watch
-        self._tracker = tracker
+        self._tracker, self._recorder = tracker, recorder
         self._seconds, self._end_s = seconds, np.inf
         self.calibration: Calibration | None = None
         self._heard: set[str] = set()
@@ -171,7 +174,7 @@ class Network:
         self.sensors = sensors
 
     def open(self) -> None:
-        self._receiver.open()
+        self._intake.open()
         if self._seconds is not None:
             self._end_s = self._clock() + self._seconds
 
@@ -180,7 +183,7 @@ class Network:
         return self._clock() >= self._end_s
 
     def poll(self) -> list[Sample]:
-        for packet, arrival, since in self._receiver.receive(IDLE_S):
+        for packet, arrival, since in self._intake.receive(IDLE_S):
             if packet.device not in self._assembler.devices:
                 self._refuse(packet.device)
                 continue
@@ -189,11 +192,16 @@ class Network:
                 self._tracker.hear(packet.device, packet.status)
             if packet.R_world_sensor is not None:
                 self._assembler.push(packet, arrival, since)
+        if self._intake.ended:
+            # The rows behind the last packet are not waited for.
+            self._end_s = min(self._end_s, self._clock() + self._assembler.delay_s)
         rows = self._assembler.pull(self._clock())
+        if self._recorder is not None:
+            self._recorder.take(rows)
         return [s for s in map(self._sample, rows) if s is not None]
 
     def _refuse(self, device: str) -> None:
-        self._receiver.rejected["device unknown"] += 1
+        self._intake.rejected["device unknown"] += 1
         # A character a column: wide ones would wrap the line that is written over.
         name = device.encode("ascii", "backslashreplace").decode()
         if len(self._unknown) < MOST_UNKNOWN and name not in self._unknown:
@@ -216,6 +224,19 @@ class Network:
         return self._watch is not None
 
     @property
+    def walks(self) -> bool:
+        """Whether walking is part of the calibration."""
+        return self._watch is not None and self._watch.walks
+
+    @property
+    def prompt(self) -> str:
+        """What the wearer should do now; empty once the pose is found."""
+        start = self._assembler.start_s
+        if self._watch is None or start is None:
+            return ""
+        return self._watch.prompt(self._clock() - start)
+
+    @property
     def missing(self) -> tuple[str, ...]:
         """Devices that nothing came from yet; none once a tracked one came, for they come and go."""
         if self._tracker is not None and self._heard:
@@ -235,17 +256,26 @@ class Network:
         return max(0.0, (self.lag_s(time_s) or 0.0) - self._assembler.delay_s)
 
     def facts(self) -> dict[str, Any]:
+        heard = self._intake.heard()
+        devices = {n: c.to_dict() for n, c in self._assembler.counts.items()}
+        for name, told in heard.items():
+            if name in devices and told.lost is not None:
+                devices[name]["lost"] = max(told.lost, devices[name]["lost"])
         out: dict[str, Any] = {
-            "rejected": dict(sorted(self._receiver.rejected.items())),
+            "rejected": dict(sorted(self._intake.rejected.items())),
             "unknown_devices": list(self._unknown),
             "skipped_frames": self._assembler.skipped,
             "silent": list(self._assembler.silent(self._clock())),
-            "devices": {n: c.to_dict() for n, c in self._assembler.counts.items()},
+            "devices": devices,
         }
+        if heard:
+            out["heard"] = {n: told.to_dict() for n, told in heard.items()}
         if self._tracker is not None:
             out["places"] = dict(self._tracker.where)
             out["place_changes"] = self._tracker.changes
         return out
 
     def close(self) -> None:
-        self._receiver.close()
+        self._intake.close()
+        if self._recorder is not None:
+            self._recorder.close()

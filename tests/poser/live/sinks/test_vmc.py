@@ -13,8 +13,9 @@ from mocap.errors import PoserError
 from mocap.estimator import Pose
 from mocap.skeleton import JOINTS, Skeleton
 from mocap.synthesis import motions
-from poser.live import addresses, vmc
+from poser.live import addresses
 from poser.live.addresses import Address
+from poser.live.sinks import vmc
 
 BODY = Skeleton.default(1.8)
 TO_UNITY = np.diag([-1.0, 1.0, 1.0])
@@ -94,7 +95,7 @@ def test_the_sink_sends_and_survives_a_missing_receiver(pose: Pose) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
         receiver.bind(("127.0.0.1", 0))
         receiver.settimeout(2.0)
-        sink = vmc.VmcSink(Address("127.0.0.1", receiver.getsockname()[1]), BODY)
+        sink = vmc.sink(Address("127.0.0.1", receiver.getsockname()[1]), BODY)
         sink.write(pose)
         count = len(vmc.datagrams(pose, BODY))
         assert len(received([receiver.recv(4096) for _ in range(count)])[vmc.BONE]) == 22
@@ -119,7 +120,7 @@ def test_a_host_is_looked_up_once(pose: Pose, monkeypatch: pytest.MonkeyPatch) -
 
         monkeypatch.setattr(socket, "getaddrinfo", found)
         # A name that the system does not know: any other look-up of it would fail.
-        sink = vmc.VmcSink(Address("performer.invalid", port), BODY)
+        sink = vmc.sink(Address("performer.invalid", port), BODY)
         for _ in range(2):
             sink.write(pose)
         count = 2 * len(vmc.datagrams(pose, BODY))
@@ -145,4 +146,4 @@ def test_an_unknown_host_is_one_sentence(monkeypatch: pytest.MonkeyPatch, error:
 
     monkeypatch.setattr(socket, "getaddrinfo", fail)
     with pytest.raises(PoserError, match=r"^vmc:nosuchhost.invalid:39539: the host is unknown$"):
-        vmc.VmcSink(Address("nosuchhost.invalid", 39539), BODY)
+        vmc.sink(Address("nosuchhost.invalid", 39539), BODY)

@@ -1,0 +1,183 @@
+"""Tables of docs/results.md and of README from what the benchmarks left in benchmarks/results/.
+
+`python scripts/make_results.py` writes them, `--check` fails where they are not what the files give. No
+figure of theirs is typed by hand.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+RESULTS = ROOT / "benchmarks" / "results"
+PAGE, README = ROOT / "docs" / "results.md", ROOT / "README.md"
+BLOCK = re.compile(r"(<!-- results -->\n).*?(<!-- /results -->)", re.DOTALL)
+
+Rows = Sequence[dict[str, Any]]
+ERRORS = ("sip_deg", "angular_deg", "position_cm", "jitter")
+NAMES = {
+    "mean-pose": "mean training pose (no skill)",
+    "nearest-pose": "nearest training pose (no skill)",
+    "sop": "SOP, offline",
+    "sip": "SIP, offline",
+    "sip+calibration": "SIP with self-calibration, offline",
+    "sip+calibr.": "SIP with self-calibration, offline",
+    "sip from truth": "SIP started at the truth",
+    "sip from dip": "SIP started from DIP",
+    "dip": "DIP, online",
+    "hybrid": "hybrid, online",
+    "hybrid-dip": "hybrid (DIP), online",
+    "frame-dip": "single-frame hybrid (DIP), online",
+    "imuposer": "IMUPoser, online",
+    "imuposer-adam": "IMUPoser with ten Adam steps, online",
+    "hybrid-imuposer": "hybrid (IMUPoser), online",
+    "frame-imuposer": "single-frame hybrid (IMUPoser), online",
+}
+
+
+def load(name: str) -> dict[str, Any] | None:
+    """What a benchmark left, or None."""
+    path = RESULTS / f"{name}.json"
+    return json.loads(path.read_text()) if path.exists() else None
+
+
+def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    """A Markdown table."""
+    head = list(head)
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def means(rows: Rows, by: str, names: Sequence[str]) -> list[list[str]]:
+    """A line a value of `by`: the mean over its rows of each figure."""
+    out = []
+    for value in dict.fromkeys(r[by] for r in rows):
+        mine = [r for r in rows if r[by] == value]
+        cells = [mean(mine, k) for k in names]
+        out.append([NAMES.get(value, str(value)), *cells])
+    return out
+
+
+def mean(rows: Rows, name: str) -> str:
+    """Mean over rows that have the figure, to one digit."""
+    values = [r[name] for r in rows if r.get(name) is not None]
+    return f"{sum(values) / len(values):.1f}" if values else ""
+
+
+def made_by(record: dict[str, Any]) -> str:
+    """The command and the machine, in small print."""
+    return f"`{record['command']}` on {record['machine'].split(';')[0]}."
+
+
+def offline(record: dict[str, Any], noise: str) -> str:
+    """The optimizer on the test split."""
+    rows = [r for r in record["rows"] if r["noise"] == noise]
+    return table(("", *ERRORS), means(rows, "method", ERRORS))
+
+
+def online(record: dict[str, Any]) -> str:
+    """Six sensors, online."""
+    names = ("sip_deg", "angular_deg", "position_cm", "instrumented_deg", "jitter")
+    return table(("", *names), means(record["rows"]["dip"], "method", names))
+
+
+def devices(record: dict[str, Any]) -> str:
+    """One to three devices, by their number."""
+    rows, out = record["rows"]["imuposer"], []
+    methods = list(dict.fromkeys(r["method"] for r in rows))
+    for label, few in (("1", 1), ("2", 2), ("3", 3), ("all 24 combinations", 0)):
+        part = [r for r in rows if not few or len(r["devices"]) == few]
+        cells = [
+            " / ".join(
+                mean([r for r in part if r["method"] == m], k) for k in ("position_cm", "sip_deg")
+            )
+            for m in methods
+        ]
+        out.append([label, *cells])
+    return table(("devices", *(NAMES.get(m, m) for m in methods)), out)
+
+
+def real(record: dict[str, Any]) -> str:
+    """The real person, by window."""
+    rows = [r for r in record["rows"] if r["orientation"] == "file"]
+    windows = list(dict.fromkeys(r["window"] for r in rows))
+    out = []
+    for method in dict.fromkeys(r["method"] for r in rows):
+        cells = [
+            mean([r for r in rows if r["method"] == method and r["window"] == w], "left_out_deg")
+            for w in windows
+        ]
+        out.append([NAMES.get(method, method), *cells])
+    return table(("left_out_deg", *windows), out)
+
+
+def page() -> str:
+    """The whole page."""
+    parts = [
+        "# Results",
+        "Every table is made by `python scripts/make_results.py` from the files that the benchmarks left in "
+        "`benchmarks/results/`. Figures are on this data only: do not set them beside published ones on "
+        "DIP-IMU or TotalCapture.",
+        "**Test split**: CMU subjects 02, 05 and 09, nobody's training motion; virtual sensors with the "
+        "realistic noise of `mocap.synthesis.Noise`; frames with a fault of the capture left out "
+        "(`poser data`). Root, wrists and feet are masked as the field does it. Means over clips; sip_deg "
+        "and angular_deg in deg, position_cm in cm, jitter in 100 m/s^3.",
+    ]
+    sections = (
+        ("split", "Offline, six sensors, realistic noise", lambda r: offline(r, "realistic")),
+        ("split", "Offline, six sensors, clean", lambda r: offline(r, "none")),
+        ("methods", "Online, six sensors at 60 Hz, realistic noise", online),
+        ("methods", "Online, one to three devices at 25 Hz: position_cm / sip_deg", devices),
+        ("real", "A real person: angle to the sensors that no method saw", real),
+    )
+    for name, title, make in sections:
+        record = load(name)
+        if record is not None:
+            parts += [f"## {title}", make(record), made_by(record)]
+    return "\n\n".join(parts) + "\n"
+
+
+def summary() -> str:
+    """README's one table: what a newcomer asks first."""
+    split, methods = load("split"), load("methods")
+    names = ("sip_deg", "angular_deg", "position_cm", "jitter")
+    rows = []
+    if split:
+        kept = [r for r in split["rows"] if r["noise"] == "realistic"]
+        order = ("mean-pose", "nearest-pose", "sop", "sip", "sip+calibration")
+        rows += means([r for m in order for r in kept if r["method"] == m], "method", names)
+    if methods:
+        fresh = [
+            r for r in methods["rows"]["dip"] if r["method"] not in ("mean-pose", "nearest-pose")
+        ]
+        rows += means(fresh, "method", names)
+    return table(("test split, six noisy sensors", *names), rows) + "\n"
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument(
+        "--check", action="store_true", help="write nothing, fail where they differ"
+    )
+    check = parser.parse_args().check
+    readme = README.read_text()
+    made = {PAGE: page(), README: BLOCK.sub(lambda m: m[1] + summary() + m[2], readme)}
+    stale = [path for path, text in made.items() if path.read_text() != text]
+    for path in stale:
+        if check:
+            print(
+                f"{path.relative_to(ROOT)} is not what benchmarks/results/ gives", file=sys.stderr
+            )
+        else:
+            path.write_text(made[path])
+    return int(check and bool(stale))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
