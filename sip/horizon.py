@@ -113,7 +113,8 @@ class Horizon:
     ):
         settings, self.how = settings or Settings(), how or HorizonSettings()
         self.kinematics = SensorKinematics(skeleton, joint, placement)
-        self.model = Model(skeleton, settings, self.kinematics, rate_hz, listening)
+        # A window that everything draws to the origin would never leave it: damping alone holds its place.
+        self.model = Model(skeleton, settings, self.kinematics, rate_hz, listening, False)
         self.joint = np.asarray(joint, int)
         pelvis = np.flatnonzero(self.joint == 0)
         self.pelvis: int | None = int(pelvis[0]) if len(pelvis) else None
