@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from mocap import faults, formats
 from mocap import orientation as ori
-from mocap.formats import Document, Options, bvh
+from mocap.formats import Document, Options, _upright, bvh
 from mocap.motion import Motion
 from mocap.skeleton import JOINTS
 from tests.mocap.formats import motion_files as files
@@ -288,3 +288,32 @@ def test_amc_and_daz_are_one_pose(cmu: dict[str, dict[str, Path]], trial: str) -
     kept = [j for n, j in J.items() if j and not n.endswith(("wrist", "hand", "foot"))]
     assert off[kept].mean() < 5.0
     assert off[kept].max() < 12.0, dict(zip(JOINTS, off.round(1), strict=True))
+
+
+# ------------------------------------------------------------------------ what people have brought
+
+
+@pytest.fixture
+def cases(shared: Path) -> Path:
+    if not (shared / "cases").is_dir():
+        pytest.skip("the folder shared/cases is absent")
+    return shared / "cases"
+
+
+def test_a_file_that_starts_at_the_head(cases: Path) -> None:
+    """The pelvis turns by 0 to 40 deg, the chest stays."""
+    R = content(formats.read(cases / "bvh" / "rooted_at_head.bvh")).R_world_joint
+    turned = np.degrees(ori.angle_between(R[:1], R))
+    assert turned[:, J["pelvis"]].max() == pytest.approx(40, abs=0.5)
+    assert turned[:, J["spine3"]].max() < 0.5
+
+
+@pytest.mark.parametrize(
+    ("name", "up"), [("bvh/51_yrest_zmotion.bvh", "z"), ("amass/yup.npz", "y")]
+)
+def test_files_with_another_axis_up(cases: Path, name: str, up: _upright.Up) -> None:
+    """They are doubted, and stand once the axis is told."""
+    assert any("--up" in w for w in formats.read(cases / name).warnings)
+    told = formats.read(cases / name, Options(up=up))
+    assert not [w for w in told.warnings if "upright" in w]
+    assert content(told).R_world_joint[0, 0, 1, 1] > 0.9
