@@ -191,13 +191,22 @@ def _turned(path: Path, quat: Array, names: tuple[str, ...], tag: str) -> Array:
     return R_OURS_MVN @ R @ R_OURS_MVN.T
 
 
+def straightened(body: Skeleton) -> dict[int, Array]:
+    """R_segment_bone (3,3) of thighs, shanks, upper arms and forearms, by our joint index.
+
+    A segment's frame is the world's in the T-pose with straight limbs; our bones' are in our rest pose.
+    """
+    turns = straightening(body.rest_positions, {j: j for j in range(24)})
+    return {joint: S.T for joint, S in turns.items()}
+
+
 def _bones(take: _Take, R: Array, body: Skeleton) -> Array:
     """R_world_bone (T,N,3,3) of our body from R_world_segment, segments as they are named."""
     R = np.array(R)
-    for joint, S in straightening(body.rest_positions, {j: j for j in range(24)}).items():
+    for joint, R_segment_bone in straightened(body).items():
         if _SEGMENTS[joint] in take.segments:
             i = take.segments.index(_SEGMENTS[joint])
-            R[:, i] = R[:, i] @ S.T
+            R[:, i] = R[:, i] @ R_segment_bone
     return R
 
 
