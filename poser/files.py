@@ -134,6 +134,25 @@ def note_gaps(path: Path, used: Recording, whole: Recording) -> None:
         note(f"{where}: {text}")
 
 
+def thinned(
+    path: Path,
+    recording: Recording,
+    most_hz: float | None = None,
+    then: str = ", and given back at its own rate (--rate says otherwise)",
+) -> Recording:
+    """The recording at no more than `most_hz` (default: 120), which is noted. then: what follows."""
+    from mocap import thinning
+
+    fewer = thinning.thinned(recording, most_hz or thinning.MOST_HZ)
+    if fewer is not recording:
+        n = round(recording.rate_hz / fewer.rate_hz)
+        note(
+            f"{path}: runs at {recording.rate_hz:g} Hz; poses are estimated at {fewer.rate_hz:.4g} Hz, "
+            f"from the mean of every {n} samples{then}"
+        )
+    return fewer
+
+
 def note_no_acc(path: Path, used: Recording) -> None:
     """Note the sensors of which a network reads an acceleration of zero throughout."""
     import numpy as np
