@@ -192,6 +192,15 @@ def add_window(parser: ArgumentParser) -> None:
         )
 
 
+def add_solving_rate(parser: ArgumentParser) -> None:
+    """--rate, of the frames that are estimated."""
+    parser.add_argument(
+        "--rate", type=rate, metavar="HZ",
+        help="estimate a faster recording at this rate at most, and give the poses back at its own "
+        "(default: 120)",
+    )  # fmt: skip
+
+
 def add_output(parser: ArgumentParser, metavar: str, help: str) -> None:
     """-o FILE, required."""
     parser.add_argument("-o", "--output", type=Path, required=True, metavar=metavar, help=help)

@@ -412,4 +412,12 @@ def _sniff(path: Path, head: bytes) -> bool:
     return b"<mvnx" in head or head.lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"<?xml")
 
 
-FORMAT = Format("mvnx", (".mvnx",), _sniff, _checks.quiet(_read))
+FORMAT = Format(
+    "mvnx",
+    (".mvnx",),
+    _sniff,
+    _checks.quiet(_read),
+    kinds=("recording", "motion"),
+    about="Xsens MVN exports, with the suit's motion as reference",
+    sign="Xsens MVNX",
+)

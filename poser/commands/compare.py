@@ -182,7 +182,7 @@ def _jobs(args: Namespace) -> list[Job]:
     jobs: list[Job] = []
     names = _names(args.recordings)
     for path, name in zip(args.recordings, names, strict=True):
-        recording = files.recording(path, gaps=False)
+        recording = files.thinned(path, files.recording(path, gaps=False), then="")
         with files.about(path):
             sensors = options.sensors(args.sensors, recording.sensors) if args.sensors else None
             devices = _named_devices(path, args.devices, recording.sensors)

@@ -11,7 +11,10 @@ from poser import files, named_starts, options
 from poser.console import DONE, UsageError, emit, note, progress, say, table
 
 if TYPE_CHECKING:
+    import numpy as np
+
     import sip
+    from mocap.motion import Motion
     from mocap.recording import Recording
     from mocap.skeleton import Skeleton
     from mocap.solution import Solution
@@ -66,6 +69,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         "--plot", type=Path, metavar="PNG", help="residuals of each sensor over time, as a picture"
     )
     options.add_window(parser)
+    options.add_solving_rate(parser)
     options.add_json(parser)
 
 
@@ -90,8 +94,11 @@ def run(args: Namespace) -> int:
     whole = files.recording(args.recording, gaps=False)
     with files.about(args.recording):
         chosen = whole.select(options.sensors(args.sensors, whole.sensors))
-        recording, first = cut_window(chosen, args.begin, args.end)
-    files.note_gaps(args.recording, recording, whole)
+        asked, _ = cut_window(chosen, args.begin, args.end)
+    files.note_gaps(args.recording, asked, whole)
+    whole = files.thinned(args.recording, whole, args.rate)
+    with files.about(args.recording):
+        recording, first = cut_window(whole.select(chosen.sensors), args.begin, args.end)
     body = _body(args)
     begin = {
         name: named_starts.motion(name, args.recording, whole, recording, first, body)
@@ -104,15 +111,12 @@ def run(args: Namespace) -> int:
         if args.start is None and not args.self_calibrate:
             begin[network] = belief.motion(recording.rate_hz, body, recording.start_s)
     solution = _solve(args, recording, body, begin, belief)
-    extra = (
-        None if solution.std_rad is None or not args.uncertainty else {"std_rad": solution.std_rad}
-    )
-    files.write(args.output, solution.motion, extra, timed=True)
+    files.write(args.output, *_given_back(solution, asked), timed=True)
     if args.plot:
         from poser.report import pictures
 
         pictures.save(pictures.residuals(solution, recording.sensors), args.plot)
-    report(args, recording, solution)
+    report(args, recording, solution, asked)
     return DONE
 
 
@@ -137,6 +141,19 @@ def _solve(
     with progress(f"solving {args.recording.name}") as tell, files.about(args.recording):
         solution = sip.cheapest(recording, begin, body, settings, tell, belief)
     return replace(solution, motion=on_the_floor(solution.motion))
+
+
+def _given_back(
+    solution: Solution, recording: Recording
+) -> tuple[Motion, dict[str, np.ndarray] | None]:
+    """The motion at every frame of `recording`, and its deviations where they were asked for."""
+    from mocap import thinning
+
+    motion = thinning.given_back(solution.motion, recording)
+    if solution.std_rad is None:
+        return motion, None
+    std = thinning.deviations_given_back(solution.std_rad, solution.motion, recording)
+    return motion, {"std_rad": std}
 
 
 def _body(args: Namespace) -> Skeleton:
@@ -185,15 +202,17 @@ def record(solution: Solution) -> dict[str, Any]:
     return out
 
 
-def report(args: Namespace, recording: Recording, solution: Solution) -> None:
-    """The answer: JSON, or a table of the terms and a sentence."""
+def report(args: Namespace, recording: Recording, solution: Solution, asked: Recording) -> None:
+    """The answer: JSON, or a table of the terms and a sentence. asked: whose frames were written."""
     if args.json:
         extra = {
             "terms": args.terms,
             "solver": args.solver,
             "start": args.start,
             "used_sensors": list(recording.sensors),
-            "rate_hz": recording.rate_hz,
+            "frames": len(asked),
+            "rate_hz": asked.rate_hz,
+            "estimated_hz": recording.rate_hz,
             "motion": str(args.output),
         }
         emit(record(solution) | extra)
@@ -217,7 +236,7 @@ def report(args: Namespace, recording: Recording, solution: Solution) -> None:
     if blind > 0.5:
         note(f"{100 * blind:.0f} % of the frames have no sensor at all: the prior alone makes them")
     say(
-        f"{args.output}: {len(solution.motion)} frames from {seen} sensors in "
+        f"{args.output}: {len(asked)} frames from {seen} sensors in "
         f"{solution.seconds:.1f} s, {solution.iterations} iterations: {solution.status}"
     )
     tried = solution.report["starts"]

@@ -57,10 +57,12 @@ def add_arguments(parser: ArgumentParser) -> None:
         "--uncertainty", action="store_true", help="store std_rad (T,24,3) with the motion"
     )
     options.add_window(parser)
+    options.add_solving_rate(parser)
     options.add_json(parser)
 
 
 def run(args: Namespace) -> int:
+    from mocap import thinning
     from poser.commands.solve import cut_window
 
     if args.network and args.method not in ("hybrid", args.network):
@@ -83,6 +85,9 @@ def run(args: Namespace) -> int:
         recording = _chosen(recording, network, args.recording, named, free=args.sensors is None)
     files.note_gaps(args.recording, recording, whole)
     files.note_no_acc(args.recording, recording)
+    asked = recording
+    if args.rate or args.method == "hybrid":  # a network takes what it needs of a faster one itself
+        recording = files.thinned(args.recording, recording, args.rate)
     tracked = _tracked(args, recording, network)
     if len(recording) <= tracked.look_ahead_frames:
         note(
@@ -92,9 +97,10 @@ def run(args: Namespace) -> int:
     std = tracked.run.std_rad if args.uncertainty else None
     if args.uncertainty and std is None:
         note(f"{args.output}: {args.method} states no uncertainty")
-    extra = None if std is None else {"std_rad": std}
-    files.write(args.output, tracked.run.motion, extra, timed=True)
-    _report(args, tracked)
+    found = tracked.run.motion
+    extra = None if std is None else {"std_rad": thinning.deviations_given_back(std, found, asked)}
+    files.write(args.output, thinning.given_back(found, asked), extra, timed=True)
+    _report(args, tracked, asked)
     return DONE
 
 
@@ -136,15 +142,17 @@ def _tracked(args: Namespace, recording: Recording, network: str) -> Tracked:
         )  # fmt: skip
 
 
-def _report(args: Namespace, tracked: Tracked) -> None:
-    """The answer: JSON, or a few sentences."""
-    record = tracked.record() | {"motion": str(args.output)}
+def _report(args: Namespace, tracked: Tracked, asked: Recording) -> None:
+    """The answer: JSON, or a few sentences. asked: the recording whose frames were written."""
+    rate = tracked.run.motion.rate_hz
+    written = {"frames": len(asked), "rate_hz": asked.rate_hz, "estimated_hz": rate}
+    record = tracked.record() | written | {"motion": str(args.output)}
     if args.json:
         emit(record)
         return
     for text, count in record["notes"].items():
         say(f"fallback: {text}: {count}")
-    rate, network_hz = record["rate_hz"], tracked.network_hz
+    network_hz = tracked.network_hz
     other = "" if abs(rate / network_hz - 1) < 1e-6 else f"; the network runs at {network_hz:g} Hz"
     say(
         f"{args.output}: {record['frames']} frames by {args.method} from {len(tracked.sensors)} "
