@@ -34,9 +34,7 @@ def library() -> Any:
     try:
         import pythonosc
     except ImportError as e:
-        raise PoserError(
-            "OSC and VMC need the package 'python-osc': pip install python-osc"
-        ) from e
+        raise PoserError("OSC and VMC need the package 'python-osc': pip install python-osc") from e
     _quiet()
     return pythonosc
 

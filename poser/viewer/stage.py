@@ -40,9 +40,7 @@ def server(host: str, port: int) -> Any:
     try:
         import viser
     except ImportError as e:
-        raise PoserError(
-            "the viewer needs the package 'viser': pip install viser"
-        ) from e
+        raise PoserError("the viewer needs the package 'viser': pip install viser") from e
     numeric, free = _free(host, port)
     with _mute():
         made = viser.ViserServer(host=numeric, port=free, label="poser", verbose=False)
