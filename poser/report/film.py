@@ -11,6 +11,7 @@ from markupsafe import Markup
 
 from mocap.motion import Motion
 from mocap.skeleton import JOINTS, PARENTS
+from poser.report.placing import beside
 from poser.report.results import COLOURS, NAMES, NO_SKILL, Compared, joint_colour
 from poser.report.templating import fill
 
@@ -66,11 +67,13 @@ def _entry(compared: Compared) -> tuple[dict[str, Any], int]:
 
 
 def _positions(motion: Motion, rate_hz: float, reference: Motion) -> dict[str, Any]:
-    """Joints in mm as little-endian int16, base64: frame by frame, 24 joints, xyz; the pelvis stays over
-    the middle of the floor, as high as the reference's: few methods know where the body is."""
+    """Joints in mm as little-endian int16, base64: frame by frame, 24 joints, xyz.
+
+    The reference's pelvis stays over the middle of the floor, the others stand there with it (`beside`).
+    """
+    true = reference.resampled(rate_hz).p_world_joint
+    true = true - true[:, :1] * [1, 0, 1]
     p = motion.resampled(rate_hz).p_world_joint
-    height = reference.resampled(rate_hz).p_world_root[:, 1]
-    p = p - p[:, :1]
-    p[..., 1] += height[np.minimum(np.arange(len(p)), len(height) - 1)][:, None]
+    p = beside(p, true[np.minimum(np.arange(len(p)), len(true) - 1)])
     mm = np.clip(np.round(1000 * p), -32768, 32767).astype("<i2")
     return {"frames": len(p), "data": base64.b64encode(mm.tobytes()).decode("ascii")}
