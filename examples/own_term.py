@@ -23,7 +23,7 @@ from mocap.orientation import Array
 from mocap.skeleton import Skeleton
 from mocap.synthesis import motions
 from sip.kinematics import BODY
-from sip.problem import SensorKinematics
+from sip.sensor_kinematics import SensorKinematics
 from sip.solvers.band import Band
 from sip.terms.base import Point
 

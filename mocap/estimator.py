@@ -97,13 +97,15 @@ class Replay:
 
     motion: as many frames as the recording has, aligned in time whatever the look-ahead. frame_s (N,):
     seconds of the step of each sample that the estimator was shown. std_rad (T,24,3), where every pose has
-    it. notes: why poses are fallbacks, counted.
+    it. notes: why poses are fallbacks, counted. covariance (72,72), or (T,72,72) where poses differ, rad^2:
+    as in `Pose`, where every pose has it.
     """
 
     motion: Motion
     frame_s: Array
     std_rad: Array | None
     notes: Counter[str]
+    covariance: Array | None = None
 
     @property
     def fallbacks(self) -> int:
@@ -163,7 +165,16 @@ def replay(
         np.array(frame_s[:T]),
         np.stack(std) if len(std) == len(poses) else None,
         Counter(p.note for p in poses if p.note),
+        _covariance(poses),
     )
+
+
+def _covariance(poses: list[Pose]) -> Array | None:
+    """That of all poses where it is one array, else theirs one after the other; None where one has none."""
+    every = [p.covariance for p in poses if p.covariance is not None]
+    if len(every) < len(poses):
+        return None
+    return every[0] if all(C is every[0] for C in every) else np.stack(every)
 
 
 def _and_then_nothing(recording: Recording, count: int) -> Iterator[Sample]:

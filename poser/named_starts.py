@@ -11,10 +11,13 @@ from poser import files
 from poser.console import UsageError, progress
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mocap.estimator import Replay
     from mocap.motion import Motion
     from mocap.recording import Recording
     from mocap.skeleton import Skeleton
-    from sip import Start
+    from sip import PoseBelief, Start
 
 NETWORKS = tuple(learned.NETWORKS)
 KNOWN = ("prior", *NETWORKS)
@@ -40,12 +43,38 @@ def motion(
     if name == "prior":
         return "prior"
     if name in NETWORKS:
-        from poser import tracking
-
-        with progress(f"{name} on {path.name}") as tell, files.about(path):
-            found = tracking.track(window, name, name, progress=tell)
-        return found.run.motion.on(body)
+        return _tracked(name, path, window).motion.on(body)
     return _of_file(Path(name), whole, window, first)
+
+
+def network(sensors: Sequence[str]) -> str:
+    """The network that knows these sensors: dip where it has all of `six`, else imuposer."""
+    from mocap import sensors as places
+    from poser.estimators import stand_in
+
+    return "dip" if all(stand_in(place, sensors) for place in places.SIX) else "imuposer"
+
+
+def belief(name: str, path: Path, window: Recording) -> PoseBelief:
+    """What a network says of every frame of `window`, and how sure it is; path: where it came from."""
+    import sip
+
+    if name == "imuposer":
+        from poser.estimators import everyday
+
+        window = window.select(everyday(name, window.sensors, window))
+    found = _tracked(name, path, window)
+    if found.covariance is None:
+        raise PoserError(f"{path}: {name} does not say how sure it is of each frame")
+    return sip.PoseBelief(found.motion.R_parent_joint, found.covariance)
+
+
+def _tracked(name: str, path: Path, window: Recording) -> Replay:
+    """A network's poses for a recording that came from `path`."""
+    from poser import tracking
+
+    with progress(f"{name} on {path.name}") as tell, files.about(path):
+        return tracking.track(window, name, name, progress=tell).run
 
 
 def _of_file(path: Path, whole: Recording, window: Recording, first: int) -> Motion:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from mocap import orientation as ori
@@ -11,6 +12,7 @@ from mocap.orientation import Array
 from mocap.recording import Recording
 from mocap.skeleton import Skeleton
 from sip.kinematics import BODY, ROOT_P
+from sip.model import Evidence
 from sip.prior import Conditioned, Prior
 from sip.problem import reference_root
 
@@ -24,16 +26,25 @@ def root_guess(recording: Recording, skeleton: Skeleton, prior: Prior) -> Array:
     R_ref = reference_root(recording)
     if R_ref is not None:
         return R_ref
+    return root_of_sensors(Evidence.of(recording), recording.joint, skeleton, prior)
+
+
+def root_of_sensors(
+    evidence: Evidence, joint: NDArray[np.int64], skeleton: Skeleton, prior: Prior
+) -> Array:
+    """R_ref (T,3,3): the chordal mean of what each sensor says of the root, as in `root_guess`."""
     local = np.broadcast_to(np.eye(3), (24, 3, 3)).copy()
     local[1:] = ori.exp(prior.mean.reshape(23, 3))
-    R_root_bone = skeleton.rotations(local)[recording.joint]
-    votes = recording.R_world_bone @ np.swapaxes(R_root_bone, -1, -2)
+    R_root_bone = skeleton.rotations(local)[joint]
+    votes = evidence.R @ np.swapaxes(R_root_bone, -1, -2)
     # Sensors near the trunk say more about the root than those at the ends of limbs.
-    depth = np.array([len(skeleton.ancestors(int(j))) for j in recording.joint], float)
-    weight = recording.ori_valid / depth
+    depth = np.array([len(skeleton.ancestors(int(j))) for j in joint], float)
+    weight = evidence.ori_valid / depth
     has = weight.sum(axis=1) > 0
-    summed = np.einsum("ts,tsij->tij", weight, np.nan_to_num(votes))
-    frames = np.arange(len(recording), dtype=float)
+    if not has.any():
+        return np.tile(np.eye(3), (len(evidence), 1, 1))
+    summed = np.einsum("ts,tsij->tij", weight, votes)
+    frames = np.arange(len(evidence), dtype=float)
     return ori.interpolate(frames[has], ori.project(summed[has]), frames)
 
 

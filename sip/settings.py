@@ -14,7 +14,7 @@ from sip.prior import Prior, shipped
 
 if TYPE_CHECKING:
     from mocap.recording import Recording
-    from sip.problem import SensorKinematics
+    from sip.sensor_kinematics import SensorKinematics
     from sip.terms.base import Term
 
 DEG = np.pi / 180
@@ -33,6 +33,10 @@ class Settings:
     below (per window, in a long recording). prior_weight_calibrating then replaces prior_weight: frames of
     one clip share their deviation from the mean pose, and a prior that counts them as independent would
     explain it by mounting.
+    network_weight, network_memory_s, network_doubt: how a network's poses count where they are given
+    (`sip.belief`); prior_weight_listening then replaces prior_weight and prior_weight_calibrating.
+    sigma_contact: m/s, of a point of the sole that stands (infinite: no contact); contact_passes: how often
+    what stands is judged anew by the poses found; contact_height (m), contact_speed (m/s): see `sip.soles`.
     max_iterations: of the banded solver, IPOPT has its own. Recordings longer than `window` frames are
     solved in windows that overlap by `overlap` frames at up to 60 Hz, and by the same time above that, as
     far as the window allows.
@@ -65,6 +69,14 @@ class Settings:
     sigma_heading: float = 3 * DEG
     sigma_bias: float = 0.1
     correlation_s: float = 0.15
+    network_weight: float = 0.1
+    network_memory_s: float = 0.5
+    network_doubt: float = 1.0
+    prior_weight_listening: float = 0.3
+    sigma_contact: float = 0.3
+    contact_passes: int = 1
+    contact_height: float = 0.04
+    contact_speed: float = 0.2
     max_iterations: int = 60
     tolerance: float = 3e-4
     coarse_hz: float = 15.0
@@ -72,6 +84,12 @@ class Settings:
     overlap: int = 90
     uncertainty: bool = False
     extra: tuple[Callable[[Recording, SensorKinematics], Term], ...] = ()
+
+    def static_weight(self, listening: bool) -> float:
+        """Weight of the static pose prior. listening: whether a network's poses are given."""
+        if listening:
+            return self.prior_weight_listening
+        return self.prior_weight_calibrating if self.self_calibration else self.prior_weight
 
     def __post_init__(self) -> None:
         for name in ("terms", "solver"):

@@ -17,8 +17,11 @@ from mocap.skeleton import Skeleton
 from mocap.solution import Solution
 from sip import initial
 from sip import kinematics as kin
+from sip.belief import FrameBeliefs, Listener, PoseBelief
 from sip.kinematics import ROOT_P
-from sip.problem import CONSTANTS, SensorKinematics, build, reference_root
+from sip.model import CONSTANTS
+from sip.problem import Problem, build, grounded, reference_root
+from sip.sensor_kinematics import SensorKinematics
 from sip.settings import Settings
 from sip.solvers import banded, ipopt
 from sip.windows import Part, Window, assemble, part_of, windows
@@ -33,11 +36,14 @@ def solve(
     skeleton: Skeleton | None = None,
     settings: Settings | None = None,
     progress: Progress | None = None,
+    belief: PoseBelief | None = None,
 ) -> Solution:
     """Reference poses for a recording: SIP, or SOP, over the whole sequence.
 
     skeleton: the body (default: the mean shape). progress(fraction, words) is called from time to time.
-    Raises SolveError where no frame has a usable orientation, or the start is not of this length and rate.
+    belief: what a network says of each frame's pose; it counts as a further term (`sip.belief`).
+    Raises SolveError where no frame has a usable orientation, or the start or the belief is not of this
+    length and rate.
     """
     skeleton, settings = skeleton or Skeleton.default(), settings or Settings()
     if not recording.ori_valid.any():
@@ -45,6 +51,13 @@ def solve(
     began = time.perf_counter()
     kinematics = SensorKinematics(skeleton, recording.joint, recording.placement)
     prior = settings.prior.given(kinematics.active, settings.prior_floor)
+    heard = None
+    if belief is not None:
+        if len(belief) != len(recording):
+            raise SolveError(
+                f"the network's poses have {len(belief)} frames, the recording {len(recording)}"
+            )
+        heard = Listener(skeleton, kinematics, recording.joint, settings).listen(recording, belief)
     given = None
     if isinstance(settings.start, Motion):
         _check_start(settings.start, recording)
@@ -59,7 +72,9 @@ def solve(
             where = f"window {i + 1} of {len(plan)}, " if len(plan) > 1 else ""
             tell = share(progress, i, len(plan), where)
             before = parts[-1] if parts else None
-            part = _solve_window(recording, skeleton, settings, kinematics, given, w, before, tell)
+            part = _solve_window(
+                recording, skeleton, settings, kinematics, given, heard, w, before, tell
+            )
             parts.append(part)
     return assemble(recording, skeleton, settings, prior, parts, time.perf_counter() - began)
 
@@ -90,6 +105,7 @@ def _solve_window(
     settings: Settings,
     kinematics: SensorKinematics,
     given: tuple[Array, Array] | None,
+    heard: FrameBeliefs | None,
     window: Window,
     before: Part | None,
     tell: Progress,
@@ -97,22 +113,28 @@ def _solve_window(
     cold = settings.solver == "ipopt-cold"
     u0 = np.zeros((kinematics.S, CONSTANTS)) if before is None else before.u
     x, R_ref, u, iterations = _start(
-        recording, skeleton, settings, kinematics, given, window, u0, tell
+        recording, skeleton, settings, kinematics, given, heard, window, u0, tell
     )
     # The last frames that the window before keeps are given: differences reach across the seam.
     past = 0 if before is None else PAST
     piece = recording.slice(window.start - past, window.stop)
+    said = heard and heard.slice(window.start - past, window.stop)
     if before is not None:
         k = before.window.keep - before.window.start
         x[:, ROOT_P] += before.x[k, ROOT_P] - x[0, ROOT_P]
         x = np.vstack([before.x[k - past : k], x])
         R_ref = np.concatenate([before.R_ref[k - past : k], R_ref])
-    problem = build(piece, skeleton, settings, kinematics, fixed=past)
+    problem = build(piece, skeleton, settings, kinematics, past, said)
     if cold:
         result = ipopt.minimise(
-            problem, x, R_ref, u, False, progress=_teller(tell, 0.3, 1, "IPOPT")
+            problem, x, R_ref, u, False, progress=_teller(tell, 0.3, 0.7, "IPOPT")
         )
         iterations += result.iterations
+        for _ in range(_judgings(problem)):
+            p, problem = result.point, grounded(problem, result.point)
+            teller = _teller(tell, 0.7, 1, "IPOPT, feet that stand")
+            result = ipopt.minimise(problem, p.x, p.R_ref, p.u, False, progress=teller)
+            iterations += result.iterations
     else:
         result = banded.minimise(problem, x, R_ref, u, progress=_teller(tell, 0.3, 0.7, "banded"))
         iterations += result.iterations
@@ -123,10 +145,15 @@ def _solve_window(
             # Constants as large as these are unlikely: they explain what the body or the prior gets wrong.
             longer = settings.correlation_s * max(2.0, excess**2)
             settings = replace(settings, correlation_s=longer)
-            problem = build(problem.recording, skeleton, settings, kinematics, fixed=problem.fixed)
+            problem = build(piece, skeleton, settings, kinematics, past, said)
             result = banded.minimise(
                 problem, x, R_ref, u, progress=_teller(tell, 0.3, 0.7, "banded, tempered")
             )
+            iterations += result.iterations
+        for _ in range(_judgings(problem)):
+            p, problem = result.point, grounded(problem, result.point)
+            teller = _teller(tell, 0.6, 0.7, "banded, feet that stand")
+            result = banded.minimise(problem, p.x, p.R_ref, p.u, progress=teller)
             iterations += result.iterations
         if settings.solver == "ipopt":
             # IPOPT's barrier starts well from a point that is optimal within the bounds, and only from one.
@@ -140,6 +167,11 @@ def _solve_window(
             )
             iterations += result.iterations
     return part_of(problem, settings, window, result, iterations)
+
+
+def _judgings(problem: Problem) -> int:
+    """How often what stands is judged anew."""
+    return problem.settings.contact_passes if problem.model.has_contact else 0
 
 
 def _excess(u: Array, settings: Settings) -> float:
@@ -170,6 +202,7 @@ def _start(
     settings: Settings,
     kinematics: SensorKinematics,
     given: tuple[Array, Array] | None,
+    heard: FrameBeliefs | None,
     window: Window,
     u: Array,
     tell: Progress,
@@ -183,23 +216,25 @@ def _start(
         return x, R_ref, u, 0
     prior = settings.prior.given(kinematics.active, settings.prior_floor)
     piece = recording.slice(window.start, window.stop)
+    said = heard and heard.slice(window.start, window.stop)
     x, R_ref = initial.from_prior(recording, skeleton, prior, window.start, window.stop)
     if settings.solver == "ipopt-cold":
         if settings.terms == "sop":
             return x, R_ref, u, 0
-        sop = build(piece, skeleton, replace(settings, terms="sop"), kinematics)
+        sop = build(piece, skeleton, replace(settings, terms="sop"), kinematics, 0, said)
         r = ipopt.minimise(sop, x, R_ref, u, False, progress=_teller(tell, 0, 0.3, "IPOPT SOP"))
         return r.point.x, r.point.R_ref, r.point.u, r.iterations
     factor = max(1, int(piece.rate_hz / settings.coarse_hz))
     if len(piece) < 8 * factor:
         factor = 1
     coarse = initial.coarsened(piece, factor)
+    said = said and said.every(factor)
     plain = replace(settings, self_calibration=False)
     iterations = 0
     xc, Rc = x[::factor], R_ref[::factor]
     zero = np.zeros_like(u)
     for terms in ("sop", "sip") if settings.terms == "sip" else ("sop",):
-        problem = build(coarse, skeleton, replace(plain, terms=terms), kinematics)
+        problem = build(coarse, skeleton, replace(plain, terms=terms), kinematics, 0, said)
         r = banded.minimise(
             problem, xc, Rc, zero, tolerance=1e-3, progress=_teller(tell, 0, 0.3, f"coarse {terms}")
         )

@@ -19,6 +19,7 @@ from mocap.motion import Motion
 from mocap.recording import Recording
 from mocap.skeleton import Skeleton
 from mocap.solution import Solution
+from sip.belief import PoseBelief
 from sip.settings import Settings
 from sip.solve import Progress, share, solve
 
@@ -31,6 +32,7 @@ def cheapest(
     skeleton: Skeleton | None = None,
     settings: Settings | None = None,
     progress: Progress | None = None,
+    belief: PoseBelief | None = None,
 ) -> Solution:
     """The solution of least cost among those from each of the named starts.
 
@@ -48,7 +50,7 @@ def cheapest(
     found: dict[str, Solution] = {}
     for k, (name, start) in enumerate(starts.items()):
         tell = share(progress, k, len(starts), f"from {name}: " if len(starts) > 1 else "")
-        found[name] = solve(recording, skeleton, replace(settings, start=start), tell)
+        found[name] = solve(recording, skeleton, replace(settings, start=start), tell, belief)
     best = min(found, key=lambda name: found[name].total_cost)
     kept = found[best]
     report = kept.report | {

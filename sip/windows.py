@@ -16,8 +16,9 @@ from mocap.skeleton import Skeleton
 from mocap.solution import Solution
 from sip import kinematics as kin
 from sip.kinematics import BODY, ROOT_P, ROOT_W
+from sip.model import CONSTANTS, overcount
 from sip.prior import Conditioned
-from sip.problem import CONSTANTS, Problem, overcount
+from sip.problem import Problem
 from sip.settings import Settings
 from sip.solvers.band import factored
 from sip.solvers.banded import Result
@@ -87,7 +88,7 @@ def part_of(
         if settings.self_calibration:
             # The corner of the inverse is the inverse of the Schur complement.
             variance = np.diag(factor.corner_inverse()).reshape(-1, CONSTANTS)
-            u_std = np.sqrt(overcount(problem.recording.rate_hz, settings) * variance)
+            u_std = np.sqrt(overcount(problem.model.rate_hz, settings) * variance)
         if settings.uncertainty:
             blocks = factor.inverse_blocks()[f:]
             root = np.einsum("tii->ti", blocks[:, ROOT_W, ROOT_W])

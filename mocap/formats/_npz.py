@@ -24,6 +24,7 @@ from mocap.errors import FormatError
 from mocap.formats import _unpickle
 
 MAX_BYTES = 1 << 30  # of all wanted members together: over three hours of a full suit at 100 Hz
+MAX_FLOATS = 2 << 30  # bytes of the same as the float64 that readers make of them
 BOMB_BYTES, BOMB_RATIO = (
     64 << 20,
     200,
@@ -65,10 +66,18 @@ def load(path: Path, wanted: Iterable[str]) -> dict[str, np.ndarray]:
                 path,
                 f"declares {total / 2**20:.0f} MiB of data, at most {MAX_BYTES >> 20} are read",
             )
-        return {name: _member(path, archive, name, info) for name, info in found.items()}
+        arrays: dict[str, np.ndarray] = {}
+        left = MAX_FLOATS
+        for name, info in found.items():
+            arrays[name] = _member(path, archive, name, info, left)
+            left -= 8 * arrays[name].size
+        return arrays
 
 
-def _member(path: Path, archive: zipfile.ZipFile, name: str, info: zipfile.ZipInfo) -> np.ndarray:
+def _member(
+    path: Path, archive: zipfile.ZipFile, name: str, info: zipfile.ZipInfo, left: int
+) -> np.ndarray:
+    """One array, which as float64 takes at most `left` bytes: a byte of zeros in the file becomes eight."""
     where = f"array {name!r}"
     _refuse_bomb(path, info, where)
     try:
@@ -82,6 +91,9 @@ def _member(path: Path, archive: zipfile.ZipFile, name: str, info: zipfile.ZipIn
                 raise FormatError(
                     path, f"declares {declared} bytes (shape {shape}), has {info.file_size}", where
                 )
+        if 8 * math.prod(shape) > left:
+            size = f"{8 * math.prod(shape) >> 20} MiB of numbers"
+            raise FormatError(path, f"{size}, at most {MAX_FLOATS >> 20} in a file", where)
         with archive.open(info) as stream:
             return np.lib.format.read_array(stream, allow_pickle=False)
     except (*BROKEN, RecursionError) as e:

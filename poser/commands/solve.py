@@ -33,10 +33,17 @@ def add_arguments(parser: ArgumentParser) -> None:
     )
     parser.add_argument(
         "--start",
-        default="prior",
         metavar="prior|dip|imuposer|MOTION",
         help="where the solver starts: the prior (default), a network's poses, or a motion file; of several, "
         "separated by commas, the cheapest solution is kept",
+    )
+    parser.add_argument(
+        "--prior",
+        choices=("static", "network"),
+        default="static",
+        help="what is known of poses beforehand: training motion's mean and spread (default), or also what "
+        "a network says of each frame: dip with all six sensors, else imuposer. The solver then starts from "
+        "both, where --start does not say otherwise and nothing is calibrated",
     )
     body = parser.add_argument_group("the body (default: the neutral mean shape)")
     body.add_argument("--height", type=options.stature, metavar="M", help="stature in m")
@@ -67,7 +74,7 @@ def run(args: Namespace) -> int:
         raise UsageError("argument --betas: needs the body file they shape: --smpl FILE")
     if args.smpl and args.height:
         raise UsageError("argument --height: not with --smpl, whose betas give the size")
-    names = named_starts.names(args.start)
+    names = named_starts.names(args.start or "prior")
     if len(names) > 1 and args.self_calibrate:
         raise UsageError(
             "argument --start: one only with --self-calibrate, where costs do not compare"
@@ -90,7 +97,13 @@ def run(args: Namespace) -> int:
         name: named_starts.motion(name, args.recording, whole, recording, first, body)
         for name in names
     }
-    solution = _solve(args, recording, body, begin)
+    belief = None
+    if args.prior == "network":
+        network = named_starts.network(recording.sensors)
+        belief = named_starts.belief(network, args.recording, recording)
+        if args.start is None and not args.self_calibrate:
+            begin[network] = belief.motion(recording.rate_hz, body, recording.start_s)
+    solution = _solve(args, recording, body, begin, belief)
     extra = (
         None if solution.std_rad is None or not args.uncertainty else {"std_rad": solution.std_rad}
     )
@@ -104,7 +117,11 @@ def run(args: Namespace) -> int:
 
 
 def _solve(
-    args: Namespace, recording: Recording, body: Skeleton, begin: dict[str, sip.Start]
+    args: Namespace,
+    recording: Recording,
+    body: Skeleton,
+    begin: dict[str, sip.Start],
+    belief: sip.PoseBelief | None,
 ) -> Solution:
     from dataclasses import replace
 
@@ -118,7 +135,7 @@ def _solve(
         uncertainty=args.uncertainty,
     )
     with progress(f"solving {args.recording.name}") as tell, files.about(args.recording):
-        solution = sip.cheapest(recording, begin, body, settings, tell)
+        solution = sip.cheapest(recording, begin, body, settings, tell, belief)
     return replace(solution, motion=on_the_floor(solution.motion))
 
 

@@ -93,20 +93,22 @@ class _Stream:
         assert packet.R_world_sensor is not None and packet.acc_world is not None
         counts = self.counts
         counts.received += 1
-        # A packet whose time is refused below was not lost on its way.
-        number, order = None, "next"
-        if packet.seq is not None:
-            number, order = self.numbers.hear(packet.seq)
-            counts.lost = self.numbers.lost
+        # Of a packet whose time is refused, forged or wrong, nothing may stay: else its number would pass for
+        # heard, and the real one that has it for its double.
         word = self.clock.hear(packet.time_s, arrival_s, since_s)
         if word == "doubtful":
             counts.clock += 1
             return
+        number, order = None, "next"
         if word == "jumped":
             counts.jumps += 1
             self.kept.clear()
-            if packet.seq is not None and order == "duplicate":
-                number, order = self.numbers.restart(packet.seq), "next"
+        if packet.seq is not None and word == "jumped":
+            # What was refused before the clock was believed was not lost on its way.
+            number = self.numbers.restart(packet.seq)
+        elif packet.seq is not None:
+            number, order = self.numbers.hear(packet.seq)
+        counts.lost = self.numbers.lost
         self.heard_s = arrival_s
         i = bisect_right(self.kept, packet.time_s, key=_time)
         if order == "duplicate" or (i and packet.time_s - self.kept[i - 1].time_s < SAME_S):

@@ -46,6 +46,23 @@ class Band:
             out[: T - d] += np.einsum("tji,tj->ti", B, v[d:])
         return out, np.einsum("tig,ti->g", self.border, v) + self.corner @ u
 
+    def dense(self) -> Array:
+        """H as a matrix, its blocks in the order of time and the border last."""
+        T, k1, n, _ = self.blocks.shape
+        g = len(self.corner)
+        H = np.zeros((T * n + g, T * n + g))
+        for t in range(T):
+            here = slice(t * n, (t + 1) * n)
+            for d in range(min(k1, T - t)):
+                there = slice((t + d) * n, (t + d + 1) * n)
+                H[there, here] = self.blocks[t, d]
+                if d:
+                    H[here, there] = self.blocks[t, d].T
+            H[T * n :, here] = self.border[t].T
+            H[here, T * n :] = self.border[t]
+        H[T * n :, T * n :] = self.corner
+        return H
+
 
 class NotPositiveDefinite(ArithmeticError):
     """The matrix has a pivot that is not positive, at block `frame`."""
@@ -139,6 +156,18 @@ class Factor:
         """The block (g,g) of H^-1 that belongs to the border: their posterior covariance."""
         inverse = lapack.dpotri(self.schur, lower=1)[0]
         return np.tril(inverse) + np.tril(inverse, -1).T
+
+    def inverse_block(self, t: int) -> Array:
+        """The diagonal block (n,n) of H^-1 of one frame: its posterior covariance."""
+        unit = np.zeros((self.T, self.n, self.n))
+        unit[t] = np.eye(self.n)
+        y = self._half_solve(unit).reshape(-1, self.n)
+        out = y.T @ y
+        if self.border is not None:
+            through = self.border.reshape(len(y), -1).T @ y
+            w = lapack.dtrtrs(self.schur, through, lower=1)[0]
+            out += w.T @ w
+        return np.asarray(out)
 
     def inverse_blocks(self) -> Array:
         """Diagonal blocks (T,n,n) of H^-1: the posterior covariance of each frame.

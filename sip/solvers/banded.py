@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from mocap.errors import SolveError
 from mocap.orientation import Array
 from sip.kinematics import ROOT_W, recentre
-from sip.problem import CONSTANTS, Problem
+from sip.model import CONSTANTS
+from sip.problem import Problem
 from sip.solvers.band import Band, Factor, NotPositiveDefinite, factored
 from sip.solvers.box import Box, bounded_step, reduced
 from sip.terms.base import Point

@@ -18,7 +18,8 @@ from scipy.sparse import csc_matrix
 
 from mocap.errors import SolveError
 from mocap.orientation import Array
-from sip.problem import CONSTANTS, Problem
+from sip.model import CONSTANTS
+from sip.problem import Problem
 from sip.solvers.band import Band
 from sip.solvers.banded import Progress, Result, scaled_norm
 from sip.terms.base import Point
@@ -150,10 +151,11 @@ class _Triangle:
         F = T - f
         rows, cols, take = [], [], []
         self.sparsity = ca.Sparsity(F * N, F * N)
+        _, constant = problem.model.constant(T, k)
         for d in range(min(k, F - 1) + 1):
             # Constant terms touch what they touch; accelerations couple all within two frames, the root's
             # smoothness only the root.
-            used = (problem._constant.blocks[:, d] != 0).any(axis=0)
+            used = (constant.blocks[:, d] != 0).any(axis=0)
             if d <= problem.dense_reach:
                 used[:] = True
             used[3:6, 3:6] = True

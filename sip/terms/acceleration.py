@@ -45,8 +45,8 @@ class Acceleration:
     def residual(self, point: Point) -> Array:
         a = self._second_difference(point)
         if self.border:
-            a = np.einsum("sij,tsj->tsi", ori.rot_y(point.u[:, 3]), a)
-            a = a + np.einsum("tsij,sj->tsi", self.R, point.u[:, 4:])
+            a = (ori.rot_y(point.u[:, 3]) @ a[..., None])[..., 0]
+            a = a + (self.R @ point.u[:, 4:, None])[..., 0]
         return (a - self.acc) * self.weight
 
     def _robust(self, r: Array) -> Array:
@@ -61,10 +61,16 @@ class Acceleration:
         if not self.border:
             return point.p_x * self.scale, None
         Ry = ori.rot_y(point.u[:, 3])
-        J = np.einsum("sij,tsjc->tsic", Ry, point.p_x, optimize=True) * self.scale
-        turned = np.einsum("sij,tsj->tsi", Ry, self._second_difference(point))
-        G = np.concatenate([np.cross([0, 1.0, 0], turned)[..., None], self.R], axis=-1)
-        return J, G
+        J = Ry @ (point.p_x * self.scale)
+        return J, self._of_constants(point, Ry)
+
+    def _of_constants(self, point: Point, Ry: Array) -> Array:
+        """d residual/du (T-2,S,3,4): y x (turned acceleration) for the heading, R_meas for the bias."""
+        turned = (Ry @ self._second_difference(point)[..., None])[..., 0]
+        G = np.zeros((*turned.shape, 4))
+        G[..., 0, 0], G[..., 2, 0] = turned[..., 2], -turned[..., 0]
+        G[..., 1:] = self.R
+        return G
 
     def pullback(self, point: Point, v: Array, grad: Array, grad_u: Array) -> None:
         v = v * self.weight / self._robust(self.residual(point))[..., None]
@@ -76,7 +82,7 @@ class Acceleration:
         T = len(grad)
         grad += (spread.reshape(T, 1, -1) @ J.reshape(T, spread[0].size, -1))[:, 0]
         if G is not None:
-            grad_u[:, 3:] += np.einsum("tsi,tsic->sc", v, G, optimize=True)
+            grad_u[:, 3:] += (v[..., None, :] @ G)[..., 0, :].sum(axis=0)
 
     def hessian(self, point: Point, band: Band) -> None:
         r = self.residual(point)
@@ -101,9 +107,12 @@ class Acceleration:
         if G is None:
             return
         G = G * w
+        own = np.swapaxes(J, 2, 3)  # (T,S,c,3)
+        border = band.border.reshape(*band.border.shape[:2], S, 7)
+        for k, c in enumerate((1.0, -2.0, 1.0)):
+            coupled = own[k : k + M] @ (c * G * w)
+            border[k : k + M, ..., 3:] += np.swapaxes(coupled, 1, 2)
+        corner = band.corner.reshape(S, 7, S, 7)
         for s in range(S):
-            cols = slice(7 * s + 3, 7 * s + 7)
-            for k, c in enumerate((1.0, -2.0, 1.0)):
-                Js = c * J[k : k + M, s] * w[:, s]
-                band.border[k : k + M, :, cols] += np.swapaxes(Js, 1, 2) @ G[:, s]
-            band.corner[cols, cols] += np.einsum("tic,tid->cd", G[:, s], G[:, s])
+            rows = G[:, s].reshape(3 * M, 4)
+            corner[s, 3:, s, 3:] += rows.T @ rows

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from typing import Any, Protocol
 
 import numpy as np
@@ -18,7 +18,7 @@ class Point:
     x (T,n), R_ref (T,3,3), u (S,7): per sensor mounting (3) rad, heading (1) rad, bias (3) m/s^2.
     e (T,S,3) rad: Log(R_meas^T R_y(heading) R_bone Exp(mounting)), zero where not measured.
     p (T,S,3) m: sensor positions. With Jacobians: e_x, p_x (T,S,3,n),
-    e_u (T,S,3,4) for mounting and heading; else None.
+    e_u (T,S,3,4) for mounting and heading; else None. kept: what a term computed here once, by term.
     """
 
     x: Array
@@ -29,6 +29,26 @@ class Point:
     e_x: Any = None
     p_x: Any = None
     e_u: Any = None
+    kept: dict[Any, Any] = field(default_factory=dict, init=False)
+
+    def slice(self, start: int, stop: int) -> Point:
+        """Frames start to stop-1; the constants are the same."""
+        return Point(
+            *(a if name == "u" or a is None else a[start:stop] for name, a in self._parts())
+        )
+
+    def then(self, other: Point) -> Point:
+        """These frames and those, at the same constants."""
+        pairs = zip(self._parts(), other._parts(), strict=True)
+        return Point(
+            *(
+                a if name == "u" or a is None else np.concatenate([a, b])
+                for (name, a), (_, b) in pairs
+            )
+        )
+
+    def _parts(self) -> list[tuple[str, Any]]:
+        return [(f.name, getattr(self, f.name)) for f in fields(self) if f.name != "kept"]
 
 
 class Term(Protocol):

@@ -34,7 +34,7 @@ class Orientation:
         r = v * self.weight
         grad += (r.reshape(T, 1, -1) @ point.e_x.reshape(T, r[0].size, -1))[:, 0]
         if self.border:
-            grad_u[:, :4] += np.einsum("tsi,tsic->sc", r, point.e_u, optimize=True)
+            grad_u[:, :4] += (r[..., None, :] @ point.e_u)[..., 0, :].sum(axis=0)
 
     def hessian(self, point: Point, band: Band) -> None:
         T, S = self.weight.shape[:2]
@@ -43,8 +43,10 @@ class Orientation:
         if not self.border:
             return
         G = point.e_u * self.weight[..., None]
-        J = J.reshape(T, S, 3, -1)
+        coupled = np.swapaxes(J.reshape(T, S, 3, -1), 2, 3) @ G  # (T,S,c,4)
+        border = band.border.reshape(T, -1, S, 7)
+        border[..., :4] += np.swapaxes(coupled, 1, 2)
+        corner = band.corner.reshape(S, 7, S, 7)
         for s in range(S):
-            cols = slice(7 * s, 7 * s + 4)
-            band.border[:, :, cols] += np.swapaxes(J[:, s], 1, 2) @ G[:, s]
-            band.corner[cols, cols] += np.einsum("tic,tid->cd", G[:, s], G[:, s])
+            flat = G[:, s].reshape(3 * T, 4)
+            corner[s, :4, s, :4] += flat.T @ flat

@@ -10,7 +10,7 @@ import pytest
 from mocap import Motion, Skeleton, sensors
 from mocap import orientation as ori
 from sip import kinematics as kin
-from sip.problem import SensorKinematics
+from sip.sensor_kinematics import SensorKinematics
 
 
 @pytest.mark.parametrize("height", [None, 1.95])

@@ -13,7 +13,8 @@ from mocap import orientation as ori
 from mocap.orientation import Array
 from sip import Settings, initial
 from sip import kinematics as kin
-from sip.problem import Problem, SensorKinematics, build, reference_root
+from sip.problem import Problem, build, reference_root
+from sip.sensor_kinematics import SensorKinematics
 from sip.solvers.band import Band
 from sip.terms.base import Point, add_stencil
 from tests.sip.conftest import wavy

@@ -23,6 +23,7 @@ import numpy as np
 from mocap import orientation as ori
 from mocap.orientation import Array
 from poser.live.packets import Packet
+from poser.live.sources.order import InOrder
 
 NEAR_S = 0.1  # an acceleration further from an orientation is not of it
 MEMORY = 256  # samples of each kind
@@ -80,11 +81,11 @@ class Gravity:
 
 
 class Phone:
-    """One device's samples, and the packets they make. known: the app's convention where gravity does not
-    come."""
+    """One device's samples, and the packets they make. order: numbers them. known: the app's convention where
+    gravity does not come."""
 
-    def __init__(self, name: str, known: Convention | None = None):
-        self.name = name
+    def __init__(self, name: str, order: InOrder, known: Convention | None = None):
+        self.name, self._order = name, order
         self._known = known
         self._gravity = Gravity()
         self._turns: deque[tuple[float, Array]] = deque(maxlen=MEMORY)
@@ -134,7 +135,7 @@ class Phone:
         world = np.full(3, np.nan)
         if acc is not None and how is not None:
             world = R_world @ (how.factor * acc)
-        return Packet(self.name, time_s, R_world, world)
+        return Packet(self.name, time_s, R_world, world, self._order.number(self.name))
 
 
 def _keep(samples: deque[tuple[float, Array]], time_s: float, value: Array) -> None:

@@ -27,6 +27,7 @@ from mocap.orientation import Array
 from poser.live.addresses import Address
 from poser.live.heard import Heard
 from poser.live.packets import MAX_ACC, MAX_TIME_S, Packet, Rejected, number, rotation
+from poser.live.sources.order import InOrder
 from poser.live.sources.phone import Phone
 from poser.live.sources.protocol import Intake, Kind, Told
 from poser.live.sources.threads import Letter, Mailbox, Threaded
@@ -181,6 +182,7 @@ class Phyphox:
     def __init__(self) -> None:
         self._inputs: dict[str, tuple[Input, ...]] = {}
         self._phones: dict[str, Phone] = {}
+        self._order = InOrder()
         self._session: dict[str, str] = {}
         self._measuring: dict[str, bool] = {}
 
@@ -201,7 +203,7 @@ class Phyphox:
         session = str(status.get("session", ""))
         self._measuring[name] = status.get("measuring") is True
         if self._session.get(name) != session or name not in self._phones:
-            self._session[name], self._phones[name] = session, Phone(name)
+            self._session[name], self._phones[name] = session, Phone(name, self._order)
         phone = self._phones[name]
         found = []
         for i in self._inputs.get(name, ()):

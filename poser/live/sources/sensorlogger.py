@@ -25,6 +25,7 @@ from mocap import orientation as ori
 from mocap.orientation import Array
 from poser.live.heard import Heard
 from poser.live.packets import MAX_ACC, MAX_NAME, Packet, Rejected, number, rotation
+from poser.live.sources.order import InOrder
 from poser.live.sources.phone import Phone
 from poser.live.sources.protocol import MAX_DEVICES, Intake, Kind, Told
 from poser.live.sources.pushed import PushServer
@@ -38,11 +39,12 @@ TAKEN_S = 2.0  # a name belongs to its first session until that is silent for so
 
 @dataclass
 class _Owner:
-    """Who sends under a device id: sender and session, and when it was heard last."""
+    """Who sends under a device id: sender and session, and when it was heard last; order: of its packets."""
 
     sender: str
     session: str
     heard_s: float
+    order: InOrder
     battery: float | None = None
     phones: dict[str, Phone] = field(default_factory=dict)
     message: int = -1
@@ -56,6 +58,7 @@ class SensorLogger:
 
     def __init__(self) -> None:
         self._owners: dict[str, _Owner] = {}
+        self._order = InOrder()
 
     def read(self, letter: Letter) -> Iterator[Packet | Rejected]:
         try:
@@ -90,7 +93,7 @@ class SensorLogger:
                 raise Rejected("name taken by another device")
             owner = None
         if owner is None or owner.session != session:
-            owner = _Owner(letter.sender, session, letter.arrival_s)
+            owner = _Owner(letter.sender, session, letter.arrival_s, self._order)
             self._owners[device] = owner
         owner.heard_s = letter.arrival_s
         count = batch.get("messageId")
@@ -161,7 +164,9 @@ def _take(owner: _Owner, device: str, kind: str, time_s: float, values: Mapping[
 
 
 def _phone(owner: _Owner, name: str) -> Phone:
-    return owner.phones.setdefault(name, Phone(name))
+    if name not in owner.phones:
+        owner.phones[name] = Phone(name, owner.order)
+    return owner.phones[name]
 
 
 def _xyz(values: Mapping[str, Any], prefix: str = "") -> Array:

@@ -27,13 +27,13 @@ from poser.live.packets import (
     MAX_ACC,
     MAX_DATAGRAM,
     MAX_MESSAGES,
-    SEQUENCE_MODULUS,
     Packet,
     Rejected,
     number,
     rotation,
 )
 from poser.live.sources.conversation import Conversation, Letter, Sender, numeric
+from poser.live.sources.order import InOrder
 from poser.live.sources.protocol import MAX_DEVICES, Intake, Kind, Told
 
 PORT = 6969
@@ -59,7 +59,7 @@ NEW_AXES = 22
 class _Sensor:
     """One sensor of a board. waiting: a rotation without its acceleration, and when it came."""
 
-    sent: int = 0
+    sent: bool = False
     waiting: tuple[float, Array] | None = None
     felt_s: float = -np.inf  # when an acceleration came last
     status: int | None = None
@@ -67,12 +67,13 @@ class _Sensor:
 
 @dataclass
 class _Board:
-    """A board: who it is, what it told. number: of its last packet."""
+    """A board: who it is, what it told. order: of what is made of it. number: of its last packet."""
 
     mac: str
     firmware: str
     protocol: int
     heard_s: float
+    order: InOrder
     number: int = 0
     lost: int = 0
     battery: float | None = None
@@ -88,6 +89,7 @@ class SlimeVR:
 
     def __init__(self) -> None:
         self._boards: dict[Sender, _Board] = {}
+        self._order = InOrder()
         self._letters: list[Letter] = []
         self._told_s = -np.inf
 
@@ -135,7 +137,7 @@ class SlimeVR:
         if sender not in self._boards:
             self._make_room(now_s)
         known = self._boards.get(sender)
-        board = _Board(name, firmware, protocol, now_s)
+        board = _Board(name, firmware, protocol, now_s, self._order)
         if known is not None and known.mac == name:
             board.lost, board.sensors = known.lost, known.sensors
         self._boards[sender] = board
@@ -285,10 +287,9 @@ def _released(board: _Board, k: int, sensor: _Sensor, acc: Array | None = None) 
     assert sensor.waiting is not None
     time_s, R = sensor.waiting
     sensor.waiting = None
-    # Nothing that comes later is of an earlier time: numbers without a gap say so.
-    sensor.sent += 1
-    acc_world = np.full(3, np.nan) if acc is None else R @ acc
-    return Packet(f"{board.mac}/{k}", time_s, R, acc_world, sensor.sent % SEQUENCE_MODULUS)
+    sensor.sent = True
+    name, acc_world = f"{board.mac}/{k}", np.full(3, np.nan) if acc is None else R @ acc
+    return Packet(name, time_s, R, acc_world, board.order.number(name))
 
 
 def _wxyz(xyzw: list[float]) -> Array:

@@ -26,6 +26,7 @@ from poser.live.packets import (
     rotation,
 )
 from poser.live.receiver import Receiver
+from poser.live.sources.order import InOrder
 from poser.live.sources.phone import Convention, Phone
 from poser.live.sources.protocol import MAX_DEVICES, Intake, Kind, Told
 
@@ -39,6 +40,7 @@ class Text:
 
     def __init__(self) -> None:
         self._phones: dict[str, Phone] = {}
+        self._order = InOrder()
 
     def __call__(self, datagram: bytes) -> Iterator[Packet | Rejected]:
         if len(datagram) > MAX_DATAGRAM:
@@ -83,7 +85,7 @@ class Text:
             raise Rejected("out of range")
         if name not in self._phones and len(self._phones) >= MAX_DEVICES:
             raise Rejected("too many devices")
-        return self._phones.setdefault(name, Phone(name, IOS))
+        return self._phones.setdefault(name, Phone(name, self._order, IOS))
 
 
 def _numbers(text: str) -> list[float]:

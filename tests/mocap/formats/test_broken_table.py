@@ -136,5 +136,5 @@ def test_no_cell_is_missing(row: str) -> None:
 
 def test_every_format_has_a_row() -> None:
     """A new reader of this package needs a row."""
-    ours = {f.name for f in formats.registry()} - {"imuposer"}
+    ours = {f.name for f in formats.registry()} - {"imuposer", "gltf"}  # glTF is only written
     assert {name for name, _, _ in TABLE.values()} == ours

@@ -256,3 +256,20 @@ def test_a_device_that_starts_again_loses_nothing() -> None:
     assert [w for _, w in said] == ["next"] * 6 + ["duplicate"]
     assert numbers.lost == 2
     assert len({n for n, _ in said}) == 6
+
+
+def test_nothing_of_a_refused_packet_stays() -> None:
+    """Packets with the true numbers and wrong clocks, before every true one: all true ones count."""
+    true = steady(300)
+    forged = [
+        (t - 0.002, packet("a", k / RATE, k, origin))
+        for k, (t, _) in enumerate(true)
+        for origin in (5.0, -40.0, 1e9 + 7 * k)
+        if k
+    ]
+    box, rows = run([*true, *forged])
+    counts = box.counts["a"]
+    assert counts.clock == len(forged)
+    assert counts.duplicates == counts.lost == counts.jumps == 0
+    assert all(row.valid[0] for _, row in rows[:295])
+    assert_true(rows[:295])
