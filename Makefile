@@ -100,7 +100,7 @@ body: $(STAMP)
 # The README's picture.
 poses: demo
 	$(BIN)/poser render poser-demo/builtin.npz poser-demo/sip.npz poser-demo/dip.npz poser-demo/hybrid-dip.npz \
-	    --labels "truth and sensors,SIP,DIP,hybrid" -o docs/poses.png
+	    --labels "truth and sensors,SIP,DIP,hybrid" --at 4.3,9.5,12,14,16.1,19.6 --size 210x270 -o docs/poses.png
 
 prior: $(STAMP)
 	$(BIN)/python scripts/make_prior.py
