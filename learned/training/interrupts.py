@@ -9,7 +9,8 @@ from typing import Any, Self
 
 
 class Interrupts:
-    """While the block runs, the first Ctrl-C, SIGTERM or SIGHUP sets `asked`; it is raised at once where `may_break`.
+    """While the block runs, the first Ctrl-C, SIGTERM or SIGHUP sets `asked`; it is raised at once where
+    `may_break`.
 
     A second one is always raised at once. Outside the main thread signals cannot be caught: nothing is
     changed there.
