@@ -86,7 +86,9 @@ def run(args: Namespace) -> int:
     given = [Path(name) for name in names if name not in named_starts.KNOWN]
     for path in given:
         files.check_there(path, "--start", named_starts.KNOWN)
-    files.check_output(args.output, [args.recording, *given], (".npz", ".bvh"))
+    files.check_output(
+        args.output, [args.recording, *given, *([args.smpl] if args.smpl else [])], (".npz", ".bvh")
+    )
     if args.plot:
         files.check_output(args.plot, [args.recording, args.output], (".png",))
     if args.uncertainty and args.output.suffix.lower() == ".bvh":
@@ -171,8 +173,9 @@ def cut_window(
     if begin is None and end is None:
         return recording, 0
     rate, origin = recording.rate_hz, recording.start_s
-    a = 0 if begin is None else max(0, round((begin - origin) * rate))
-    b = len(recording) if end is None else min(len(recording), round((end - origin) * rate))
+    # A number that is too large for a frame's is one before or behind all of them.
+    a = 0 if begin is None else round(min(max((begin - origin) * rate, 0), len(recording)))
+    b = len(recording) if end is None else round(min(max((end - origin) * rate, 0), len(recording)))
     if b - a < 1:
         since = "" if begin is None else f" from {begin:g} s"
         until = "" if end is None else f" to {end:g} s"
