@@ -14,7 +14,10 @@ from sip.horizon import Horizon, HorizonState
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """The last poses that were shown, oldest first, two at most: R_parent_joint (k,24,3,3), p_world_root (k,3) m."""
+    """The last poses that were shown, oldest first, two at most.
+
+    R_parent_joint (k,24,3,3), p_world_root (k,3) m.
+    """
 
     R_parent_joint: Array
     p_world_root: Array
@@ -29,9 +32,9 @@ def shown(
 ) -> Shown:
     """The pose of the frame `lag` frames before the newest, to follow those of `before`, its last.
 
-    Every new window thinks a little differently of all its frames. How what was shown differs from the newest
-    window's own poses of the same frames, o = Log(R_window^T R_shown) per joint and likewise the root's place,
-    dies away as a critically damped spring, both its poles at theta = exp(-1 / (memory_s rate)):
+    Every new window thinks a little differently of all its frames. How what was shown differs from the
+    newest window's own poses of the same frames, o = Log(R_window^T R_shown) per joint and likewise the
+    root's place, dies away as a critically damped spring, both its poles at theta = exp(-1 / (memory_s rate)):
         o_t = 2 theta o_{t-1} - theta^2 o_{t-2},    R_shown = R_window Exp(o_t).
     So motion comes from the newest window, without lag; only what windows disagree about is low-passed.
     """

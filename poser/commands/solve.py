@@ -33,9 +33,10 @@ def add_arguments(parser: ArgumentParser) -> None:
     )
     parser.add_argument(
         "--start",
-        metavar="prior|dip|imuposer|MOTION",
-        help="where the solver starts: the prior (default), a network's poses, or a motion file; of several, "
-        "separated by commas, the cheapest solution is kept",
+        metavar="prior|horizon|dip|imuposer|MOTION",
+        help="where the solver starts: the prior (default), a window that follows the recording forward and "
+        "backward (horizon; beside the prior, for poses far from everyday ones), a network's poses, or a "
+        "motion file; of several, separated by commas, the cheapest solution is kept",
     )
     parser.add_argument(
         "--prior",
@@ -75,7 +76,7 @@ def run(args: Namespace) -> int:
     if args.smpl and args.height:
         raise UsageError("argument --height: not with --smpl, whose betas give the size")
     names = named_starts.names(args.start or "prior")
-    if len(names) > 1 and args.self_calibrate:
+    if (len(names) > 1 or "horizon" in names) and args.self_calibrate:
         raise UsageError(
             "argument --start: one only with --self-calibrate, where costs do not compare"
         )
@@ -93,17 +94,15 @@ def run(args: Namespace) -> int:
         recording, first = cut_window(chosen, args.begin, args.end)
     files.note_gaps(args.recording, recording, whole)
     body = _body(args)
-    begin = {
-        name: named_starts.motion(name, args.recording, whole, recording, first, body)
-        for name in names
-    }
+    settings = _settings(args)
+    begin = named_starts.motions(names, args.recording, whole, recording, first, body, settings)
     belief = None
     if args.prior == "network":
         network = named_starts.network(recording.sensors)
         belief = named_starts.belief(network, args.recording, recording)
         if args.start is None and not args.self_calibrate:
             begin[network] = belief.motion(recording.rate_hz, body, recording.start_s)
-    solution = _solve(args, recording, body, begin, belief)
+    solution = _solve(args, recording, body, begin, belief, settings)
     extra = (
         None if solution.std_rad is None or not args.uncertainty else {"std_rad": solution.std_rad}
     )
@@ -116,24 +115,30 @@ def run(args: Namespace) -> int:
     return DONE
 
 
+def _settings(args: Namespace) -> sip.Settings:
+    import sip
+
+    return sip.Settings(
+        terms=args.terms,
+        solver=args.solver,
+        self_calibration=args.self_calibrate,
+        uncertainty=args.uncertainty,
+    )
+
+
 def _solve(
     args: Namespace,
     recording: Recording,
     body: Skeleton,
     begin: dict[str, sip.Start],
     belief: sip.PoseBelief | None,
+    settings: sip.Settings,
 ) -> Solution:
     from dataclasses import replace
 
     import sip
     from mocap.synthesis.staging import on_the_floor
 
-    settings = sip.Settings(
-        terms=args.terms,
-        solver=args.solver,
-        self_calibration=args.self_calibrate,
-        uncertainty=args.uncertainty,
-    )
     with progress(f"solving {args.recording.name}") as tell, files.about(args.recording):
         solution = sip.cheapest(recording, begin, body, settings, tell, belief)
     return replace(solution, motion=on_the_floor(solution.motion))
