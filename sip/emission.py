@@ -34,7 +34,8 @@ def shown(
 
     Every new window thinks a little differently of all its frames. How what was shown differs from the
     newest window's own poses of the same frames, o = Log(R_window^T R_shown) per joint and likewise the
-    root's place, dies away as a critically damped spring, both its poles at theta = exp(-1 / (memory_s rate)):
+    root's place, dies away as a critically damped spring, both its poles at
+    theta = exp(-1 / (memory_s rate)):
         o_t = 2 theta o_{t-1} - theta^2 o_{t-2},    R_shown = R_window Exp(o_t).
     So motion comes from the newest window, without lag; only what windows disagree about is low-passed.
     """

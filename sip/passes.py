@@ -30,8 +30,9 @@ def passes(
     """The recording's poses as `sip.horizon` follows them, "forward" and "backward" in time.
 
     The window goes along with a movement into poses that a start in the prior's mean does not lead to.
-    Backward is the recording reversed: R(T-1-t) and a(T-1-t), since a second derivative does not mind the direction of
-    time. Above `MOST_HZ` it sees every k-th frame. Sensors' constants and terms of one's own are left out.
+    Backward is the recording reversed: R(T-1-t) and a(T-1-t), since a second derivative does not mind the
+    direction of time. Above `MOST_HZ` it sees every k-th frame. Sensors' constants and terms of one's own
+    are left out.
     """
     skeleton, settings = skeleton or Skeleton.default(), settings or Settings()
     plain = replace(settings, self_calibration=False, extra=())
