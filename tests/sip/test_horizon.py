@@ -55,7 +55,7 @@ def test_a_window_as_long_as_the_recording_has_the_answer_of_solve(
     whole = solve(recording, settings=exact)
     h = horizon(recording, exact, seconds=1.0)
     state = fed(h, Evidence.of(recording))
-    for _ in range(150):
+    for _ in range(200):
         state = h.improved(state)
     problem = h.problem(state)
     assert state.point is not None
