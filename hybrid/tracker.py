@@ -220,6 +220,18 @@ class Tracker:
         out = Pose(due.time_s, refined.R_parent_joint, p, refined.std_rad)
         return state, out, trouble or refined.reason or state.gone
 
+    def facts(self, state: TrackerState) -> dict[str, Any]:
+        """Figures of the run so far: lag_frames; of the window its frames now and at most, steps a frame,
+        what happened to it; and, where they are estimated, heading_deg by sensor as taken out now."""
+        if self.window is None or state.window is None:
+            return {"window_frames": 0}
+        found = self.window.facts(state.window, state.counts)
+        u = self.window.constants(state.window)
+        if u is not None:
+            named = zip(self.sensors, u, strict=True)
+            found["heading_deg"] = {n: float(np.rad2deg(c[3])) for n, c in named}
+        return found
+
     def _ask(self, state: Any, sample: Sample) -> tuple[Any, Pose | None, str]:
         """The network's next state, its pose or None, and what is wrong where None."""
         try:

@@ -11,7 +11,9 @@ import copy
 import math
 import time
 from collections import defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -30,6 +32,7 @@ NO_TIME = "no time for the window"
 TOO_SLOW = "the window was over its time"
 SHORTENED = "the window got shorter"
 RESTED = "the window began anew from the network's poses"
+EVENTS = (FAILED, NO_TIME, TOO_SLOW, SHORTENED, RESTED)
 SLACK = 0.7  # share of the time under which a window may grow
 FAST, SLOW = 0.2, 0.02  # how quickly the mean of the frames' times follows them up, and down
 PAUSE_S = 1.0  # without a window, where the shortest one takes too long
@@ -45,7 +48,7 @@ class WindowState:
 
     solved: the window; empty at a start. times: s of its frames, oldest first. shift (3,) m: from its places
     to the path, None until a pose of it was given. size: frames that the machine has time for. frame_s: mean
-    time of a frame of late. pause: frames to go without a window. steps: taken so far, in all frames.
+    time of a frame of late. pause: frames to go without a window. steps, frames: taken so far.
     waited: frames since the network's valley was last looked at. std_rad (24,3) of the poses, computed
     std_age frames ago.
     """
@@ -57,6 +60,7 @@ class WindowState:
     frame_s: float = 0.0
     pause: int = 0
     steps: int = 0
+    frames: int = 0
     waited: int = 0
     std_rad: Array | None = None
     std_age: int = 0
@@ -168,7 +172,14 @@ class Window:
                 solved = found
                 counts[RESTED] += 1
         times = times[len(times) - len(solved) :] if len(solved) else ()
-        return replace(state, solved=solved, times=times, waited=waited, steps=state.steps + 1)
+        return replace(
+            state,
+            solved=solved,
+            times=times,
+            waited=waited,
+            steps=state.steps + 1,
+            frames=state.frames + 1,
+        )
 
     def _improved(self, state: WindowState, horizon: Horizon, began: float) -> WindowState:
         """The state after the further steps that there are, or that the clock allows."""
@@ -232,6 +243,16 @@ class Window:
             return last.p_world_root
         _, p = self.skeleton.forward(R, np.zeros(3))
         return np.array([0.0, self.skeleton.sole - float(p[list(TOES), 1].min()), 0.0])
+
+    def facts(self, state: WindowState, counts: Mapping[str, int]) -> dict[str, Any]:
+        """Figures for people and programs."""
+        return {
+            "lag_frames": self.lag,
+            "window_frames": state.size,
+            "window_frames_most": self.most,
+            "steps_per_frame": state.steps / max(1, state.frames),
+            "window_events": {name: counts[name] for name in EVENTS if counts.get(name)},
+        }
 
     def constants(self, state: WindowState) -> Array | None:
         """(S,7) of the sensors: mounting (3) and heading (1) in rad, bias (3) in m/s^2, as they are taken out
