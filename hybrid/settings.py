@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
+from functools import cache
 from typing import Any
 
 from hybrid.motion_filter import FilterNoise
@@ -21,6 +22,12 @@ POSITIVE = (
     "rate_limit_deg_s",
     "gap_s",
 )
+
+
+@cache
+def window_cost() -> Settings:
+    """SIP's with the sensors' constants estimated."""
+    return Settings(self_calibration=True)
 
 
 @dataclass(frozen=True)
@@ -85,7 +92,7 @@ class TrackerSettings:
     horizon_memory_s: float = 0.8
     valley_s: float = 0.25
     deviations_s: float = 0.1
-    cost: Settings = field(default_factory=lambda: Settings(self_calibration=True))
+    cost: Settings = field(default_factory=window_cost)
 
     @classmethod
     def around(cls, network: Estimator, **changes: Any) -> TrackerSettings:

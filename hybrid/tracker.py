@@ -20,7 +20,7 @@ from hybrid import contact, incoming
 from hybrid.refinement import Memory, Refinement
 from hybrid.settings import TrackerSettings
 from hybrid.tasks import Task
-from hybrid.window import FAILED, NO_TIME, Window, WindowFailed, WindowState
+from hybrid.window import NO_TIME, NO_WINDOW, Window, WindowFailed, WindowState
 from mocap import sensors as places
 from mocap.errors import SensorError
 from mocap.estimator import NO_MEASUREMENT, Estimator, Pose, Sample
@@ -58,7 +58,7 @@ class TrackerState:
     counts: Mapping[str, int] = field(default_factory=dict)
     proposals: tuple[Pose, ...] = ()
     window: WindowState | None = None
-    gone: str = FAILED
+    gone: str = NO_WINDOW
 
     @property
     def fallbacks(self) -> int:
@@ -209,7 +209,7 @@ class Tracker:
             return state, self._held(state, due.time_s), trouble or state.gone
         pose = min(reversed(state.proposals), key=lambda p: abs(p.time_s - due.time_s))
         p = pose.p_world_root if state.last is None else state.last.p_world_root
-        pose = replace(pose, time_s=due.time_s, p_world_root=np.array(p), note="")
+        pose = replace(pose, time_s=due.time_s, p_world_root=np.array(p))
         before = state.refined_s
         dt = 1 / self.rate_hz if before is None else due.time_s - before
         if self._break(dt):
@@ -217,7 +217,7 @@ class Tracker:
         memory, refined = self.refinement.refine(state.memory, pose, due, dt)
         _add(counts, refined.events)
         state = replace(state, memory=memory, refined_s=due.time_s)
-        out = Pose(due.time_s, refined.R_parent_joint, p, refined.std_rad)
+        out = Pose(due.time_s, refined.R_parent_joint, np.array(p), refined.std_rad, pose.note)
         return state, out, trouble or refined.reason or state.gone
 
     def facts(self, state: TrackerState) -> dict[str, Any]:

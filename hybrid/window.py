@@ -28,6 +28,7 @@ from sip.horizon import HorizonState
 from sip.model import Evidence
 
 FAILED = "the window failed"
+NO_WINDOW = "the window begins later"
 NO_TIME = "no time for the window"
 TOO_SLOW = "the window was over its time"
 SHORTENED = "the window got shorter"
