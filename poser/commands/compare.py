@@ -3,9 +3,9 @@
 Writes results.json, report.html and one motion file a method into the output folder (a folder a recording
 where there are several). An earlier comparison is replaced once the new one is whole; what an interrupted one
 has measured by then stays in the folder `unfinished-comparison`. Methods: sop, sip, dip, imuposer,
-imuposer-adam, hybrid-dip (or hybrid), hybrid-imuposer. The reference is the recording's own, a motion file,
-or sip-all: SIP on every sensor that the recording has. A method that a recording does not serve is named with
-the reason, and the others go on.
+imuposer-adam, hybrid-dip (or hybrid), hybrid-imuposer, frame-dip, frame-imuposer. The reference is the
+recording's own, a motion file, or sip-all: SIP on every sensor that the recording has. A method that a
+recording does not serve is named with the reason, and the others go on.
 """
 
 from __future__ import annotations
@@ -65,7 +65,10 @@ def add_arguments(parser: ArgumentParser) -> None:
         metavar="DIR",
         help="a new or empty folder, or that of an earlier comparison, which is replaced",
     )
-    parser.add_argument("--methods", type=_methods, metavar="M,M", help="default: all")
+    parser.add_argument(
+        "--methods", type=_methods, metavar="M,M",
+        help="default: all but frame-dip and frame-imuposer, the hybrid without its window",
+    )  # fmt: skip
     parser.add_argument(
         "--reference", metavar="MOTION|sip-all", help="default: the recording's own reference"
     )

@@ -38,7 +38,7 @@ def listed() -> list[dict[str, Any]]:
     from mocap import formats
     from poser.exports import WRITERS
 
-    rows = [
+    rows: list[dict[str, Any]] = [
         {
             "name": f.name,
             "suffixes": list(f.suffixes),
