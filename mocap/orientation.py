@@ -112,7 +112,13 @@ def rot_x(a: ArrayLike) -> Array:
 
 def rot_y(a: ArrayLike) -> Array:
     """Rotation (...,3,3) about y (up, the heading axis) by `a` rad."""
-    return exp(np.multiply.outer(np.asarray(a, float), [0, 1.0, 0]))
+    a = np.asarray(a, float)
+    out = np.zeros((*a.shape, 3, 3))
+    out[..., 0, 0] = out[..., 2, 2] = np.cos(a)
+    out[..., 0, 2] = np.sin(a)
+    out[..., 2, 0] = -out[..., 0, 2]
+    out[..., 1, 1] = 1
+    return out
 
 
 def rot_z(a: ArrayLike) -> Array:

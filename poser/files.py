@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -170,6 +170,8 @@ def check_output(path: Path, inputs: Sequence[Path], suffixes: tuple[str, ...]) 
 
     Raises UsageError for a wrong suffix or an input, PoserError for a folder that is missing.
     """
+    from mocap.formats._files import check_target
+
     if path.suffix.lower() not in suffixes:
         raise UsageError(f"{path}: the output's name must end in {' or '.join(suffixes)}")
     folder = path.parent
@@ -177,11 +179,16 @@ def check_output(path: Path, inputs: Sequence[Path], suffixes: tuple[str, ...]) 
         raise PoserError(f"{path}: there is no folder {folder} to write it to")
     if path.is_dir():
         raise PoserError(f"{path}: is a folder, expected a file name")
+    target = check_target(path)
     if not os.access(folder, os.W_OK):
         raise PoserError(f"{path}: the folder {folder} cannot be written to")
     for source in inputs:
         if _same(path, source):
             raise UsageError(f"{path}: is the input; the output needs a name of its own")
+    if path.is_symlink():
+        note(f"{path}: is a link; {target} is written")
+    elif target.exists():
+        note(f"{path}: an earlier file of that name is replaced")
 
 
 def _same(a: Path, b: Path) -> bool:
@@ -192,12 +199,18 @@ def _same(a: Path, b: Path) -> bool:
 
 
 @contextmanager
-def folder(path: Path) -> Iterator[None]:
-    """As `make_folder`; folders that were made for it are removed again where nothing was put into them."""
+def folder(path: Path, single: bool = False) -> Iterator[None]:
+    """As `make_folder`; folders that were made for it are removed again where nothing was put into them.
+
+    single: raise PoserError where another run writes into the folder; several `poser synthesize` may.
+    """
+    from mocap.formats._files import alone
+
     made = [p for p in (path, *path.parents) if not p.exists()]
     make_folder(path)
     try:
-        yield
+        with alone(path) if single else nullcontext():
+            yield
     finally:
         for p in made:
             try:

@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from mocap.motion import Motion
     from mocap.recording import Recording
     from mocap.skeleton import Skeleton
-    from sip import PoseBelief, Start
+    from sip import PoseBelief, Settings, Start
 
 NETWORKS = tuple(learned.NETWORKS)
-KNOWN = ("prior", *NETWORKS)
+KNOWN = ("prior", "horizon", *NETWORKS)
 
 
 def names(text: str) -> list[str]:
@@ -31,6 +31,28 @@ def names(text: str) -> list[str]:
     if not all(found):
         raise UsageError(f"argument --start: an empty name in {text!r}")
     return list(dict.fromkeys(found))
+
+
+def motions(
+    names: Sequence[str],
+    path: Path,
+    whole: Recording,
+    window: Recording,
+    first: int,
+    body: Skeleton,
+    settings: Settings,
+) -> dict[str, Start]:
+    """The starts of these names: "horizon" is two, forward and backward in time, beside the prior."""
+    found: dict[str, Start] = {}
+    for name in names:
+        if name == "horizon":
+            import sip
+
+            with progress(f"horizon on {path.name}") as tell, files.about(path):
+                found |= {"prior": "prior", **sip.passes(window, body, settings, tell)}
+        else:
+            found[name] = motion(name, path, whole, window, first, body)
+    return found
 
 
 def motion(

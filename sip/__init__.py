@@ -1,7 +1,9 @@
 """The offline optimizer: orientation, acceleration and anthropometric terms over whole sequences."""
 
 from sip.belief import PoseBelief
+from sip.emission import Shown, shown
 from sip.horizon import Horizon, HorizonSettings
+from sip.passes import passes
 from sip.prior import Prior
 from sip.settings import Settings
 from sip.solve import solve
@@ -13,7 +15,10 @@ __all__ = [
     "PoseBelief",
     "Prior",
     "Settings",
+    "Shown",
     "Start",
     "cheapest",
+    "passes",
+    "shown",
     "solve",
 ]

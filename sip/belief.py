@@ -91,8 +91,10 @@ class FrameBeliefs:
     def then(self, other: Self) -> Self:
         """These frames and those."""
         R, scale = np.concatenate([self.R, other.R]), np.concatenate([self.scale, other.scale])
-        if self.L is other.L:
+        if self.L is other.L or not other.scale.any():
             return replace(self, R=R, scale=scale)
+        if not self.scale.any():  # silent: any whitener is right
+            return replace(other, R=R, scale=scale)
         L, H = (
             np.concatenate([np.broadcast_to(a, (len(b), *a.shape[-2:])) for a, b in pairs])
             for pairs in (
@@ -127,6 +129,10 @@ class Listener:
         self.columns = (3 * self.joints[:, None] + np.arange(3)).ravel()
         self.chains = [list(skeleton.ancestors(int(j))) for j in self.joint]
         # (S,J): sensor s lies at or beyond joint j, and is no sensor of the root alone.
+        # (S,J): the network's joint turns the sensor's bone; a measured root does not count.
+        self.moving = np.array(
+            [[j in c and (j > 0 or self.root) for j in range(24)] for c in self.chains]
+        )
         self.beyond = np.array([[j in c and len(c) > 1 for j in range(24)] for c in self.chains])
         # The covariance seen last and what follows from it: a cache, nothing that a frame hands on.
         self._covariance: Array | None = None
@@ -163,18 +169,14 @@ class Listener:
             at = pelvis[0]
             local[:, 0] = np.where(valid[:, at, None, None], R_meas[:, at], local[:, 0])
         R = self.skeleton.rotations(local)
-        C = np.broadcast_to(belief.covariance, (len(local), 72, 72))
-        noise = 2 * self.settings.sigma_orientation**2 * np.eye(3)
-        ratio = np.zeros(valid.shape)
-        for s, (j, chain) in enumerate(zip(self.joint, self.chains, strict=True)):
-            moving = [i for i in chain if i or self.root]
-            if not moving:
-                continue
-            d = ori.log(np.swapaxes(R_meas[:, s], 1, 2) @ R[:, j])
-            J = np.concatenate([np.swapaxes(R[:, j], 1, 2) @ R[:, i] for i in moving], axis=2)
-            own = (3 * np.array(moving)[:, None] + np.arange(3)).ravel()
-            P = J @ C[:, own[:, None], own] @ J.swapaxes(1, 2) + noise
-            ratio[:, s] = np.einsum("ti,ti->t", d, np.linalg.solve(P, d[..., None])[..., 0]) / 3
+        C = belief.covariance if belief.covariance.ndim == 2 else belief.covariance[:, None]
+        T = len(local)
+        bone = R[:, self.joint]
+        d = ori.log(np.swapaxes(R_meas, 2, 3) @ bone)
+        side = R.swapaxes(1, 2).reshape(T, 3, 72)[:, None]  # the joints' rotations side by side
+        J = (np.swapaxes(bone, 2, 3) @ side) * np.repeat(self.moving, 3, axis=1)[:, None]
+        P = J @ C @ np.swapaxes(J, 2, 3) + 2 * self.settings.sigma_orientation**2 * np.eye(3)
+        ratio = (d * np.linalg.solve(P, d[..., None])[..., 0]).sum(axis=-1) / 3
         may = valid & belief.valid[:, None] & self.beyond.any(1)
         return np.where(may, ratio, 0.0), may
 

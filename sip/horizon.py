@@ -8,6 +8,7 @@ sensors' constants (`sip.terms.arrival`). A window as long as the recording, ite
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -113,7 +114,8 @@ class Horizon:
     ):
         settings, self.how = settings or Settings(), how or HorizonSettings()
         self.kinematics = SensorKinematics(skeleton, joint, placement)
-        self.model = Model(skeleton, settings, self.kinematics, rate_hz, listening)
+        # A window that everything draws to the origin would never leave it: damping alone holds its place.
+        self.model = Model(skeleton, settings, self.kinematics, rate_hz, listening, False)
         self.joint = np.asarray(joint, int)
         pelvis = np.flatnonzero(self.joint == 0)
         self.pelvis: int | None = int(pelvis[0]) if len(pelvis) else None
@@ -329,13 +331,18 @@ class Horizon:
 
 
 def run(
-    horizon: Horizon, recording: Recording, lag: int, belief: PoseBelief | None = None, age: int = 0
+    horizon: Horizon,
+    recording: Recording,
+    lag: int,
+    belief: PoseBelief | None = None,
+    age: int = 0,
+    progress: Callable[[float, str], None] | None = None,
 ) -> tuple[Array, Array]:
     """A recording, frame by frame: R_parent_joint (T,24,3,3) and p_world_root (T,3) m, each frame's as it was
     `lag` frames later.
 
     belief: of the recording's frames; each is heard `age` frames later. Frames before the first with any
-    orientation get that one's pose.
+    orientation get that one's pose. progress(fraction, words) is called from time to time.
     """
     T = len(recording)
     evidence = Evidence.of(recording)
@@ -346,6 +353,8 @@ def run(
         if t < T:
             said = belief.slice(t - age, t - age + 1) if belief is not None and t >= age else None
             state = horizon.step(state, evidence.slice(t, t + 1), said, age)
+            if progress and t % 10 == 0:
+                progress(t / T, f"frame {t} of {T}")
         if t >= lag + first:
             pose = horizon.pose(state, min(lag, T - 1 - (t - lag)))
             R[t - lag], p[t - lag] = pose.R_parent_joint, pose.p_world_root

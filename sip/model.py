@@ -96,6 +96,7 @@ class Model:
 
     CasADi functions and the terms that hold for any frames are made here, once; `terms` adds those of some
     evidence, which is cheap. listening: whether a network's poses are part of it.
+    anchored: whether every frame is drawn, ever so lightly, to the origin, so that a whole path has a place.
     """
 
     def __init__(
@@ -105,13 +106,13 @@ class Model:
         kinematics: SensorKinematics,
         rate_hz: float,
         listening: bool = False,
+        anchored: bool = True,
     ):
         self.skeleton, self.settings, self.kinematics = skeleton, settings, kinematics
         self.rate_hz, self.listening = rate_hz, listening
         self.prior = settings.prior.given(kinematics.active, settings.prior_floor)
         s = settings
-        self.gauge = Gauge(s.sigma_gauge)
-        self.body: list[Term] = []
+        self.body: list[Term] = [Gauge(s.sigma_gauge)] if anchored else []
         self._constant: dict[tuple[int, int], tuple[list[Term], Band]] = {}
         if (weight := s.static_weight(listening)) > 0:
             mean, covariance = self.prior.mean, self.prior.covariance
@@ -130,7 +131,7 @@ class Model:
     def constant(self, frames: int, reach: int) -> tuple[list[Term], Band]:
         """The terms here whose Gauss-Newton matrix is the same everywhere, and it; not to be written to."""
         if (frames, reach) not in self._constant:
-            terms = [t for t in (self.gauge, *self.body) if t.constant and t.reach < frames]
+            terms = [t for t in self.body if t.constant and t.reach < frames]
             band = Band.zeros(frames, reach, self.kinematics.n, self.border)
             nothing = np.zeros(0)
             blank = Point(np.zeros((frames, self.kinematics.n)), *[nothing] * 4)
@@ -171,7 +172,6 @@ class Model:
         """The terms of these frames, those on the sensors' constants alone left out."""
         s, calibrating = self.settings, self.settings.self_calibration
         terms: list[Term] = [Orientation(s.sigma_orientation, evidence.ori_valid, calibrating)]
-        terms.append(self.gauge)
         if s.terms == "sip":
             # A bias lies in the sensor's frame: without an orientation nothing is known of it.
             R = np.where(evidence.ori_valid[..., None, None], evidence.R, 0.0)

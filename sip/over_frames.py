@@ -20,20 +20,24 @@ class OverFrames:
     def __init__(self, function: ca.Function):
         self.function = function
         self._maps: dict[int, ca.Function] = {}
+        # Buffers that nobody uses just now, by frames: making one takes as long as a small function.
+        self._free: dict[int, list[Any]] = {}
+        shapes = [function.size_out(i) for i in range(function.n_out())]
+        self._shapes = [(columns, rows) for rows, columns in shapes]
 
     def __call__(self, *inputs: Array) -> list[Array]:
         """Outputs (T, columns, rows) at inputs (T, columns, rows), or (T, rows) of a single column."""
         T = len(inputs[0])
         if T not in self._maps:  # building the map takes longer than one evaluation
-            self._maps[T] = self.function.map(T)
-        buffer: Any
-        buffer, run = self._maps[T].buffer()
+            self._maps[T], self._free[T] = self.function.map(T), []
+        free = self._free[T]
+        buffer, run = free.pop() if free else self._maps[T].buffer()
         kept: list[Any] = [np.ascontiguousarray(a, float).reshape(-1) for a in inputs]
         for i, array in enumerate(kept):
             buffer.set_arg(i, memoryview(array))
-        shapes = [self.function.size_out(i) for i in range(self.function.n_out())]
-        outputs: list[Any] = [np.empty((T, columns, rows)) for rows, columns in shapes]
+        outputs: list[Any] = [np.empty((T, *shape)) for shape in self._shapes]
         for i, array in enumerate(outputs):
             buffer.set_res(i, memoryview(array.reshape(-1)))
         run()
+        free.append((buffer, run))
         return outputs

@@ -73,7 +73,7 @@ class Settings:
     network_memory_s: float = 0.5
     network_doubt: float = 1.0
     prior_weight_listening: float = 0.3
-    sigma_contact: float = 0.1
+    sigma_contact: float = 0.3
     contact_passes: int = 1
     contact_height: float = 0.04
     contact_speed: float = 0.2

@@ -1,7 +1,8 @@
 """Several methods on the same recordings with the same reference: tables, pictures and a report.
 
 Writes results.json, report.html and one motion file a method into the output folder (a folder a recording
-where there are several), and removes those of an earlier comparison. Methods: sop, sip, dip, imuposer,
+where there are several). An earlier comparison is replaced once the new one is whole; what an interrupted one
+has measured by then stays in the folder `unfinished-comparison`. Methods: sop, sip, dip, imuposer,
 imuposer-adam, hybrid-dip (or hybrid), hybrid-imuposer. The reference is the recording's own, a motion file,
 or sip-all: SIP on every sensor that the recording has. A method that a recording does not serve is named with
 the reason, and the others go on.
@@ -98,7 +99,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 def run(args: Namespace) -> int:
     if args.cluster and args.jobs > 1:
         raise UsageError("argument --cluster: not with --jobs, the scheduler decides")
-    with files.folder(args.output):
+    with files.folder(args.output, single=True):
         return _compare(args)
 
 
@@ -107,18 +108,19 @@ def _compare(args: Namespace) -> int:
     from poser.report import folder as reporting
     from poser.report import results
 
+    earlier.complete(args.output)
     jobs = _jobs(args)
     where = comparison.check_paths(args.output, [j.name for j in jobs])
     old = earlier.files_in(args.output, where.values())
     written = [folder / f"{n}.npz" for folder in where.values() for n in earlier.MOTIONS]
     _check_inputs(args, [*written, *old])
     earlier.check_own(args.output, old)
+    # Beside an earlier comparison until the new one is whole; without one, where it belongs at once.
+    into = earlier.fresh(args.output) if old else args.output
+    places = comparison.check_paths(into, [j.name for j in jobs])
 
     def keep(compared: Compared) -> None:
-        # Only now: a run of which nothing comes leaves the earlier one as it was.
-        earlier.remove(old, args.output)
-        old.clear()
-        folder = where[compared.name]
+        folder = places[compared.name]
         files.make_folder(folder)
         for name, result in compared.methods.items():
             files.write(folder / f"{name}.npz", result.motion, timed=True)
@@ -138,9 +140,11 @@ def _compare(args: Namespace) -> int:
         record = results.to_json(found)
         record["weights"] = comparison.weights_used(jobs, record["mean"])
         record["motions"] = {c.name: str(where[c.name].relative_to(args.output)) for c in measured}
-        files.write_text(args.output / "results.json", json_text(record) + "\n")
+        files.write_text(into / "results.json", json_text(record) + "\n")
         facts = _facts(args, jobs, found)
-        reporting.write_report(args.output, _title(found), found, record["mean"], facts)
+        reporting.write_report(into, _title(found), found, record["mean"], facts)
+        if into != args.output:
+            earlier.replace(old, into, args.output)
     for sentence in results.failures(found):
         note(sentence)
     if args.json:

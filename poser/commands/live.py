@@ -128,6 +128,7 @@ def run(args: Namespace) -> int:
     origin = opening.origin(args.source)
     if args.list:
         return _list(args, origin)
+    _check_apart(args)
     network = estimators.network_of(args.method, args.network)
     estimators.check_weights(args.weights, network)
     skeleton = Skeleton.default(args.height)
@@ -153,6 +154,18 @@ def run(args: Namespace) -> int:
         elif begun:
             telling.summary(report)
     return DONE
+
+
+def _check_apart(args: Namespace) -> None:
+    """Raises UsageError where two sinks, or one and --record, would write to one file."""
+    from poser.live import sinks
+
+    paths = [Path(text) for text in args.sink if sinks.chosen(text)[0].suffixes]
+    seen: dict[Path, Path] = {}
+    for path in [*paths, *([args.record] if args.record else [])]:
+        if path.resolve() in seen:
+            raise UsageError(f"{path}: would be written twice; give each sink a file of its own")
+        seen[path.resolve()] = path
 
 
 def _list(args: Namespace, origin: Origin) -> int:

@@ -36,9 +36,10 @@ def add_arguments(parser: ArgumentParser) -> None:
     )
     parser.add_argument(
         "--start",
-        metavar="prior|dip|imuposer|MOTION",
-        help="where the solver starts: the prior (default), a network's poses, or a motion file; of several, "
-        "separated by commas, the cheapest solution is kept",
+        metavar="prior|horizon|dip|imuposer|MOTION",
+        help="where the solver starts: the prior (default), a window that follows the recording forward and "
+        "backward (horizon; beside the prior, for poses far from everyday ones), a network's poses, or a "
+        "motion file; of several, separated by commas, the cheapest solution is kept",
     )
     parser.add_argument(
         "--prior",
@@ -79,14 +80,16 @@ def run(args: Namespace) -> int:
     if args.smpl and args.height:
         raise UsageError("argument --height: not with --smpl, whose betas give the size")
     names = named_starts.names(args.start or "prior")
-    if len(names) > 1 and args.self_calibrate:
+    if (len(names) > 1 or "horizon" in names) and args.self_calibrate:
         raise UsageError(
             "argument --start: one only with --self-calibrate, where costs do not compare"
         )
     given = [Path(name) for name in names if name not in named_starts.KNOWN]
     for path in given:
         files.check_there(path, "--start", named_starts.KNOWN)
-    files.check_output(args.output, [args.recording, *given], (".npz", ".bvh"))
+    files.check_output(
+        args.output, [args.recording, *given, *([args.smpl] if args.smpl else [])], (".npz", ".bvh")
+    )
     if args.plot:
         files.check_output(args.plot, [args.recording, args.output], (".png",))
     if args.uncertainty and args.output.suffix.lower() == ".bvh":
@@ -100,18 +103,16 @@ def run(args: Namespace) -> int:
     with files.about(args.recording):
         recording, first = cut_window(whole.select(chosen.sensors), args.begin, args.end)
     body = _body(args)
-    begin = {
-        name: named_starts.motion(name, args.recording, whole, recording, first, body)
-        for name in names
-    }
+    settings = _settings(args)
+    begin = named_starts.motions(names, args.recording, whole, recording, first, body, settings)
     belief = None
     if args.prior == "network":
         network = named_starts.network(recording.sensors)
         belief = named_starts.belief(network, args.recording, recording)
         if args.start is None and not args.self_calibrate:
             begin[network] = belief.motion(recording.rate_hz, body, recording.start_s)
-    solution = _solve(args, recording, body, begin, belief)
-    files.write(args.output, *_given_back(solution, asked), timed=True)
+    solution = _solve(args, recording, body, begin, belief, settings)
+    files.write(args.output, *_given_back(solution, asked, args.uncertainty), timed=True)
     if args.plot:
         from poser.report import pictures
 
@@ -120,37 +121,43 @@ def run(args: Namespace) -> int:
     return DONE
 
 
+def _settings(args: Namespace) -> sip.Settings:
+    import sip
+
+    return sip.Settings(
+        terms=args.terms,
+        solver=args.solver,
+        self_calibration=args.self_calibrate,
+        uncertainty=args.uncertainty,
+    )
+
+
 def _solve(
     args: Namespace,
     recording: Recording,
     body: Skeleton,
     begin: dict[str, sip.Start],
     belief: sip.PoseBelief | None,
+    settings: sip.Settings,
 ) -> Solution:
     from dataclasses import replace
 
     import sip
     from mocap.synthesis.staging import on_the_floor
 
-    settings = sip.Settings(
-        terms=args.terms,
-        solver=args.solver,
-        self_calibration=args.self_calibrate,
-        uncertainty=args.uncertainty,
-    )
     with progress(f"solving {args.recording.name}") as tell, files.about(args.recording):
         solution = sip.cheapest(recording, begin, body, settings, tell, belief)
     return replace(solution, motion=on_the_floor(solution.motion))
 
 
 def _given_back(
-    solution: Solution, recording: Recording
+    solution: Solution, recording: Recording, uncertainty: bool
 ) -> tuple[Motion, dict[str, np.ndarray] | None]:
     """The motion at every frame of `recording`, and its deviations where they were asked for."""
     from mocap import thinning
 
     motion = thinning.given_back(solution.motion, recording)
-    if solution.std_rad is None:
+    if solution.std_rad is None or not uncertainty:
         return motion, None
     std = thinning.deviations_given_back(solution.std_rad, solution.motion, recording)
     return motion, {"std_rad": std}
@@ -171,8 +178,9 @@ def cut_window(
     if begin is None and end is None:
         return recording, 0
     rate, origin = recording.rate_hz, recording.start_s
-    a = 0 if begin is None else max(0, round((begin - origin) * rate))
-    b = len(recording) if end is None else min(len(recording), round((end - origin) * rate))
+    # A number that is too large for a frame's is one before or behind all of them.
+    a = 0 if begin is None else round(min(max((begin - origin) * rate, 0), len(recording)))
+    b = len(recording) if end is None else round(min(max((end - origin) * rate, 0), len(recording)))
     if b - a < 1:
         since = "" if begin is None else f" from {begin:g} s"
         until = "" if end is None else f" to {end:g} s"

@@ -19,6 +19,8 @@ from poser.live.latency import Latency
 from poser.live.samples import Source
 from poser.live.sinks.protocol import Sink
 
+_ENDING = (signal.SIGINT, signal.SIGTERM, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else []))
+
 
 @dataclass
 class Report:
@@ -146,12 +148,13 @@ def close(source: Source, sinks: Sequence[Sink], report: Report) -> None:
 
 @contextmanager
 def _undisturbed() -> Iterator[None]:
-    """A second Ctrl-C must not lose the file that the first one asked to finish."""
+    """A second Ctrl-C, or a signal that asks to end, must not lose the file that the first one began."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    before = {number: signal.signal(number, signal.SIG_IGN) for number in _ENDING}
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)

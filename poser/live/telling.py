@@ -44,6 +44,7 @@ class Teller:
         self._asked_missing = self._asked_unknown = not isinstance(source, Network)
         self._led: str | None = None
         self._checked = False
+        self._doubled: set[str] = set()
 
     def tell(self, report: Report) -> None:
         now = self._clock()
@@ -53,6 +54,7 @@ class Teller:
         if isinstance(self._source, Network):
             self._lead(self._source)
             self._check(self._source)
+            self._double(self._source)
             if now - self._began >= PATIENCE_S:
                 self._ask(self._source)
         if not (self._terminal or self._listeners):
@@ -76,6 +78,15 @@ class Teller:
         for finding in found.diagnostics:
             if finding.severity != "info":
                 self._complain(f"{finding.severity}: {words.sentence(finding)}")
+
+    def _double(self, source: Network) -> None:
+        """Which names two senders give themselves, each once."""
+        for name in source.doubled:
+            if name not in self._doubled:
+                self._doubled.add(name)
+                self._complain(
+                    f"a second sender calls itself {name}: the first one is heard, until it falls silent"
+                )
 
     def _lead(self, source: Network) -> None:
         """Where no line counts the seconds down: a sentence for each thing that the wearer is to do, behind

@@ -43,6 +43,11 @@ class Acceleration:
         return (p[:-2] - 2 * p[1:-1] + p[2:]) * self.scale
 
     def residual(self, point: Point) -> Array:
+        if self not in point.kept:
+            point.kept[self] = self._residual(point)
+        return np.asarray(point.kept[self])
+
+    def _residual(self, point: Point) -> Array:
         a = self._second_difference(point)
         if self.border:
             a = (ori.rot_y(point.u[:, 3]) @ a[..., None])[..., 0]

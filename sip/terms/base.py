@@ -31,6 +31,10 @@ class Point:
     e_u: Any = None
     kept: dict[Any, Any] = field(default_factory=dict, init=False)
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Without what can be computed again."""
+        return vars(self) | {"kept": {}}
+
     def slice(self, start: int, stop: int) -> Point:
         """Frames start to stop-1; the constants are the same."""
         return Point(

@@ -54,8 +54,10 @@ class NetworkPose:
 
     def _slopes(self, point: Point) -> Array:
         """de/dtheta (T,a,3,3) of each joint, transposed."""
-        out = _functions()[1](*self._inputs(point))[0][:, 1:]
-        return out.reshape(len(point.x), -1, 3, 3)
+        if self not in point.kept:
+            out = _functions()[1](*self._inputs(point))[0][:, 1:]
+            point.kept[self] = out.reshape(len(point.x), -1, 3, 3)
+        return np.asarray(point.kept[self])
 
     def loss(self, residual: Array) -> float:
         return squared(residual)

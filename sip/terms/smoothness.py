@@ -88,12 +88,15 @@ class RootSmoothness:
         return squared(residual)
 
     def _jacobians(self, point: Point) -> dict[int, Array]:
+        if self in point.kept:
+            return dict(point.kept[self])
         A, B = (np.swapaxes(a, -1, -2) for a in self._slopes(*self._inputs(point)))
         M = len(point.x) - self.reach
         J = {o: np.zeros((M, 3, 3)) for o in range(self.reach + 1)}
         for o, c in self.stencil.items():
             J[o] += c * A[o : o + M] * self.weight
             J[o + 1] += c * B[o : o + M] * self.weight
+        point.kept[self] = J
         return J
 
     def pullback(self, point: Point, v: Array, grad: Array, grad_u: Array) -> None:

@@ -320,7 +320,7 @@ def test_synthesize_searches_folders(
 @pytest.mark.parametrize(
     ("command", "option", "words"),
     [
-        ("solve", "--start", "--start takes prior, dip, imuposer or a motion file"),
+        ("solve", "--start", "--start takes prior, horizon, dip, imuposer or a motion file"),
         ("compare", "--reference", "--reference takes sip-all or a motion file"),
     ],
 )
@@ -457,6 +457,32 @@ def test_solve_keeps_the_cheapest_of_several_starts(
     assert "kept" not in capsys.readouterr().out
     assert main([str(w) for w in [*line[:-1], "prior,dip", "--self-calibrate"]]) == 2
     assert "self-calibrate" in capsys.readouterr().err
+
+
+def test_solve_follows_a_recording_both_ways_for_its_start(
+    folder: Path, tmp_path: Path, answer: Answer, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["solve", folder / "rec" / "walk.npz", "--solver", "banded", "--to", "1"]
+    said = answer(*words, "-o", tmp_path / "m.npz", "--start", "horizon")
+    tried = said["report"]["starts"]
+    assert list(tried) == ["prior", "forward", "backward"]
+    assert said["total_cost"] == min(x["cost"] for x in tried.values())
+    line = [*words, "-o", tmp_path / "n.npz", "--start", "horizon", "--self-calibrate"]
+    assert main([str(w) for w in line]) == 2
+    assert "self-calibrate" in capsys.readouterr().err
+
+
+def test_solve_hears_a_network(folder: Path, tmp_path: Path, answer: Answer) -> None:
+    words = ["solve", folder / "rec" / "walk.npz", "--solver", "banded", "--to", "1"]
+    alone = answer(*words, "-o", tmp_path / "a.npz")
+    heard = answer(*words, "-o", tmp_path / "b.npz", "--prior", "network")
+    assert "network" not in alone["cost"] and heard["cost"]["network"] > 0
+    assert list(heard["report"]["starts"]) == ["prior", "dip"]
+    watches = answer(
+        *words, "-o", tmp_path / "c.npz", "--prior", "network", "--start", "prior",
+        "--sensors", "left_forearm,head",
+    )  # fmt: skip
+    assert watches["cost"]["network"] > 0
 
 
 @pytest.mark.parametrize(

@@ -68,7 +68,8 @@ def test_a_sure_network_is_believed_and_one_with_nothing_to_say_is_not(
 ) -> None:
     recording = synthesis.recording(wavy(20), names)
     belief = near(recording, rng, 0.0, False)
-    settings = Settings(solver="banded", prior_weight=0.1, tolerance=1e-8)
+    settings = Settings(solver="banded", tolerance=1e-8)
+    assert settings.prior_weight == settings.prior_weight_listening
     alone = solve(recording, settings=settings)
     truth = recording.reference
     assert truth is not None

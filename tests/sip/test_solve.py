@@ -226,7 +226,7 @@ def test_solution_reports_itself(recording: Recording) -> None:
     assert "optimal" in solution.status
     assert solution.iterations > 0
     assert solution.seconds > 0
-    terms = {"orientation", "acceleration", "prior", "limits", "smoothness", "gauge"}
+    terms = {"orientation", "acceleration", "prior", "limits", "smoothness", "gauge", "contact"}
     assert set(solution.cost) == terms
     assert set(solution.sigmas) == terms
     for name in terms - {"orientation", "acceleration"}:
