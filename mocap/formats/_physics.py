@@ -88,17 +88,29 @@ def upright(R: Array, acc: Array, documented: str) -> tuple[Array, str]:
 
 def assumed(rec: RawRecording) -> tuple[str, ...]:
     """What nothing in a raw recording can tell, for `Document.assumptions`."""
+    if _orientations_alone(rec):
+        return ("no acceleration in the file",)
     if rec.R_world_sensor is not None or not np.isfinite(rec.acc).any():
         return ()
     # With -acc, up and all movement are turned round together: gyr fits either.
     return ("acc is specific force (up at rest), not gravity: only orientations could tell",)
 
 
+def _orientations_alone(rec: RawRecording) -> bool:
+    """Whether there are orientations and no acc at all, as some exports are meant to be."""
+    return rec.R_world_sensor is not None and not np.isfinite(rec.acc).any()
+
+
 def _absent(rec: RawRecording) -> list[str]:
-    """Sensors without any sample of acc or of gyr, one warning for either."""
+    """Sensors without any sample of acc or of gyr, one warning for either.
+
+    Not of acc where the file has orientations alone: `assumed` says so.
+    """
     lacking: dict[str, list[str]] = {}
     for s, name in enumerate(rec.sensors):
         for what in unmeasured(rec, s):
+            if what == "acc" and _orientations_alone(rec):
+                continue
             lacking.setdefault(what, []).append(name)
     return [
         f"no sample of {what} from "

@@ -252,5 +252,5 @@ FORMAT = Format(
     _checks.quiet(_read),
     kinds=("raw",),
     about="Xsens MT Manager and DOT exports: a file a device, or a folder",
-    sign="Xsens MT Manager exports (tab-separated columns PacketCounter, Acc_X, ...)",
+    sign="Xsens MT Manager and DOT exports (columns PacketCounter, Acc_X, ...)",
 )

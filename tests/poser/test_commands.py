@@ -71,8 +71,8 @@ def test_gaps_are_told_of_what_is_used_and_once(
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("notes.txt", "is none of the .txt files that are read: Xsens MT Manager exports (tab-separated"),
-        ("table.csv", "is none of the .csv files that are read: tables with columns such as pelvis.acc_x"),
+        ("notes.txt", "is none of the .txt files that are read: Xsens MT Manager and DOT exports (col"),
+        ("table.csv", "tables with columns such as pelvis.acc_x"),
         ("x.npz", "poser's recordings (field schema); AMASS motions (field poses); DIP-IMU"),
         ("x.sto", "is none of the .sto files that are read: OpenSense tables"),
         ("x.doc", "suffix '.doc' unknown; known: .amc"),

@@ -13,7 +13,7 @@ from mocap.formats import _foreign
 BROUGHT = {
     ".c3d": "marker positions.*export that as BVH",
     ".trc": "poser convert writes such files.*BVH",
-    ".fbx": "Blender.*BVH",
+    ".fbx": "export BVH from the tool that made it .Blender",
     ".glb": "poser convert writes such files.*BVH",
     ".mot": "give the orientations' .sto",
     ".xlsx": "save each sheet as .csv.*MVNX",
