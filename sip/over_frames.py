@@ -31,6 +31,7 @@ class OverFrames:
         if T not in self._maps:  # building the map takes longer than one evaluation
             self._maps[T], self._free[T] = self.function.map(T), []
         free = self._free[T]
+        buffer: Any
         buffer, run = free.pop() if free else self._maps[T].buffer()
         kept: list[Any] = [np.ascontiguousarray(a, float).reshape(-1) for a in inputs]
         for i, array in enumerate(kept):
