@@ -7,7 +7,7 @@ STAMP := $(VENV)/.installed
 WORKERS ?= auto
 # One clone may move: paths are relative, and the stamp follows what it was made from.
 
-.PHONY: help venv demo test lint types check check-fast docs results bench bench-split bench-methods bench-real bench-accuracy bench-experiments bench-endurance prior weights body poses clean
+.PHONY: help venv demo test lint types check check-fast docs results bench bench-split bench-methods bench-real bench-retargeting bench-accuracy bench-experiments bench-endurance prior weights body poses clean
 
 help:
 	@echo "make demo         all methods on the built-in recording, with pictures and a report in poser-demo/"
@@ -19,6 +19,7 @@ help:
 	@echo "make bench-split  accuracy on the fixed test split (needs the data, see README)"
 	@echo "make bench-methods  DIP, IMUPoser and the hybrids on the fixed test split (needs the data)"
 	@echo "make bench-real   the real recording (needs the data)"
+	@echo "make bench-retargeting  one motion from several files, people standing (needs the data)"
 	@echo "make bench-accuracy     the last three: every accuracy table of the README"
 	@echo "make bench-experiments  the papers' experiments: trains for hours (needs the data)"
 	@echo "make bench-endurance    ten hours of the tracker, one of each network"
@@ -73,6 +74,9 @@ bench-methods: $(STAMP)
 
 bench-accuracy: bench-split bench-methods bench-real
 
+bench-retargeting: $(STAMP)
+	$(BIN)/python benchmarks/retargeting.py
+
 bench-real: $(STAMP)
 	$(BIN)/python benchmarks/real.py -o benchmarks/results/real.json
 
@@ -96,7 +100,7 @@ body: $(STAMP)
 # The README's picture.
 poses: demo
 	$(BIN)/poser render poser-demo/builtin.npz poser-demo/sip.npz poser-demo/dip.npz poser-demo/hybrid-dip.npz \
-	    --labels "truth and sensors,SIP,DIP,hybrid" -o docs/poses.png
+	    --labels "truth and sensors,SIP,DIP,hybrid" --at 4.3,9.5,12,14,16.1,19.6 --size 210x270 -o docs/poses.png
 
 prior: $(STAMP)
 	$(BIN)/python scripts/make_prior.py

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
+from functools import cache
 from typing import Any
 
 from hybrid.motion_filter import FilterNoise
 from mocap.errors import PoserError
 from mocap.estimator import Estimator, tracker_hints
+from sip import Settings
 
 POSITIVE = (
     "orientation_sigma_deg",
@@ -20,6 +22,12 @@ POSITIVE = (
     "rate_limit_deg_s",
     "gap_s",
 )
+
+
+@cache
+def window_cost() -> Settings:
+    """SIP's with the sensors' constants estimated."""
+    return Settings(self_calibration=True)
 
 
 @dataclass(frozen=True)
@@ -46,6 +54,18 @@ class TrackerSettings:
     spine: whether the trunk's joints move too.
     translation: whether the root's path is replaced by that of the contact filter.
     filter_noise: of the sensors' motion filters.
+
+    The moving horizon:
+    horizon_s: length of the window; 0: none, each pose is the single frame's QP.
+    lag: frames that the poses are behind the newest sample. None: the network's look-ahead, as always without
+    a window.
+    steps: Gauss-Newton steps a frame at most.
+    budget_s: time of a frame, network included: under it further steps are taken, over it the window gets
+    shorter. None: no clock is read, so that the same samples give the same poses.
+    horizon_memory_s: in this time what has left the window counts less by 1/e.
+    valley_s: how often the window is compared with the network's poses in its place (infinite: never).
+    deviations_s: how often the poses' deviations are computed anew (infinite: never, and none is stated).
+    cost: of the window (`sip.Settings`), its self_calibration included.
     """
 
     orientation_sigma_deg: float = 8.0
@@ -65,6 +85,14 @@ class TrackerSettings:
     spine: bool = True
     translation: bool = True
     filter_noise: FilterNoise = field(default_factory=FilterNoise)
+    horizon_s: float = 0.4
+    lag: int | None = None
+    steps: int = 2
+    budget_s: float | None = None
+    horizon_memory_s: float = 0.8
+    valley_s: float = 0.25
+    deviations_s: float = 0.1
+    cost: Settings = field(default_factory=window_cost)
 
     @classmethod
     def around(cls, network: Estimator, **changes: Any) -> TrackerSettings:
@@ -78,8 +106,20 @@ class TrackerSettings:
         return cls(**stated)
 
     def __post_init__(self) -> None:
-        if not 0 <= self.network_memory_s < float("inf"):
-            raise PoserError("TrackerSettings: network_memory_s must be zero or more")
+        for name in ("network_memory_s", "horizon_s"):
+            if not 0 <= getattr(self, name) < float("inf"):
+                raise PoserError(f"TrackerSettings: {name} must be zero or more")
+        for name in ("horizon_memory_s", "valley_s", "deviations_s"):
+            if not getattr(self, name) > 0:
+                raise PoserError(f"TrackerSettings: {name} must be positive")
+        if self.budget_s is not None and not self.budget_s > 0:
+            raise PoserError(f"TrackerSettings: budget_s must be positive, got {self.budget_s!r}")
+        if self.lag is not None and (self.lag < 0 or not self.horizon_s):
+            raise PoserError(
+                "TrackerSettings: lag must be zero or more, and needs a window (horizon_s)"
+            )
+        if self.steps < 1:
+            raise PoserError(f"TrackerSettings: steps must be 1 or more, got {self.steps!r}")
         for name in POSITIVE:
             value = getattr(self, name)
             if not 0 < value < float("inf"):

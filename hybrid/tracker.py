@@ -1,12 +1,14 @@
-"""The real-time tracker: any network's estimator, refined frame by frame, that never misses a frame.
+"""The real-time tracker: any network's estimator inside a moving horizon, that never misses a frame.
 
-Samples are kept until the network emits the pose of their time; that pose is refined with that sample.
-Whatever goes wrong gives the network's pose, or the last one, with the reason in `Pose.note` and a count
-in the state.
+Every sample enters the window (`hybrid.window`), and what the network says of it as soon as it does; the
+pose given is the window's, `lag` frames old. Where there is no window, or none of its poses, the network's
+pose is refined with the sample of its own time (`hybrid.refinement`). Whatever goes wrong gives that, the
+network's pose, or the last one, with the reason in `Pose.note` and a count in the state.
 """
 
 from __future__ import annotations
 
+import time
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -18,9 +20,10 @@ from hybrid import contact, incoming
 from hybrid.refinement import Memory, Refinement
 from hybrid.settings import TrackerSettings
 from hybrid.tasks import Task
+from hybrid.window import NO_TIME, NO_WINDOW, Window, WindowFailed, WindowState
 from mocap import sensors as places
 from mocap.errors import SensorError
-from mocap.estimator import Estimator, Pose, Sample
+from mocap.estimator import NO_MEASUREMENT, Estimator, Pose, Sample
 from mocap.motion import check_rate
 from mocap.orientation import Array
 from mocap.skeleton import Skeleton
@@ -41,7 +44,8 @@ class TrackerState:
 
     network: the network's own state. samples: the latest, oldest first. received: samples so far.
     last: the pose given last. refined_s: time of the frame refined last. counts: frames, fallbacks in
-    all and by reason, and what was left out of refined frames.
+    all and by reason, and what was left out of refined frames. proposals: the network's latest poses, oldest
+    first. window: of the moving horizon, None without one; gone: why it has no pose of frames before it.
     """
 
     network: Any
@@ -52,6 +56,9 @@ class TrackerState:
     refined_s: float | None = None
     received: int = 0
     counts: Mapping[str, int] = field(default_factory=dict)
+    proposals: tuple[Pose, ...] = ()
+    window: WindowState | None = None
+    gone: str = NO_WINDOW
 
     @property
     def fallbacks(self) -> int:
@@ -60,7 +67,7 @@ class TrackerState:
 
 
 class Tracker:
-    """`Estimator` around a network's `Estimator`: same rate, sensors and look-ahead.
+    """`Estimator` around a network's `Estimator`: same rate and sensors; `look_ahead_frames` is the lag.
 
     settings: default, those that the network asks for (`TrackerSettings.around`). tasks: what makes up a
     frame's cost; default, `hybrid.tasks.standard` of the settings, to which more can be added
@@ -83,7 +90,9 @@ class Tracker:
         self.settings = settings or TrackerSettings.around(network)
         self.rate_hz = check_rate(network.rate_hz, "Tracker")
         self.sensors = tuple(network.sensors)
-        self.look_ahead_frames = int(network.look_ahead_frames)
+        self._late = int(network.look_ahead_frames)
+        lag = self.settings.lag
+        self.look_ahead_frames = self._late if lag is None else lag
         self.skeleton = skeleton or Skeleton.default()
         if joint is None or seat is None:
             table_joint, table_seat = places.joints_and_seats(self.sensors)
@@ -95,33 +104,133 @@ class Tracker:
             )
         self.refinement = Refinement(self.skeleton, np.asarray(joint), seat, self.settings, tasks)
         self._contact = contact.Contact(self.skeleton)
+        self.window: Window | None = None
+        if self.settings.horizon_s:
+            self.window = Window(
+                self.skeleton, np.asarray(joint), np.asarray(seat, float), self.rate_hz,
+                self.settings, self._late, self.look_ahead_frames,
+            )  # fmt: skip
 
     def init(self) -> TrackerState:
         """A fresh state."""
-        return TrackerState(self.network.init(), (), self.refinement.start(), contact.start())
+        window = None if self.window is None else self.window.start()
+        return TrackerState(
+            self.network.init(), (), self.refinement.start(), contact.start(), window=window
+        )
 
     def step(self, state: TrackerState, sample: Sample) -> tuple[TrackerState, Pose | None]:
-        """Feed one sample; the refined pose of `look_ahead_frames` ago, or None before the first."""
+        """Feed one sample; the pose of `look_ahead_frames` ago, or None before the first."""
+        began = time.perf_counter()
         counts = defaultdict(int, state.counts)
         expected = state.samples[-1].time_s + 1 / self.rate_hz if state.samples else 0.0
         sample, events = incoming.clean(sample, len(self.sensors), expected)
         _add(counts, events)
-        kept = self.look_ahead_frames + 1 + SPARE_SAMPLES
+        kept = max(self.look_ahead_frames, self._late) + 1 + SPARE_SAMPLES
         samples = (*state.samples, sample)[-kept:]
         received = state.received + 1
         network, pose, trouble = self._ask(state.network, sample)
-        state = replace(state, network=network, samples=samples, received=received)
-        if pose is None and received <= self.look_ahead_frames:
+        if pose is None and received <= self._late:
             if trouble != NETWORK_SILENT:
                 counts[trouble] += 1
+            trouble = ""
+        state = replace(state, network=network, samples=samples, received=received)
+        if self.window is not None:
+            state = self._horizon(self.window, state, sample, pose, began, counts)
+        if received <= self.look_ahead_frames and (pose is None or self.window is not None):
             return replace(state, counts=dict(counts)), None
-        state, pose, reason = self._pose(state, pose, trouble, counts)
+        state, pose, reason = self._given(state, pose, trouble, counts)
         counts["frames"] += 1
         if reason:
             counts[reason] += 1
             counts["fallback"] += 1
             pose = replace(pose, note="; ".join(n for n in (reason, pose.note) if n))
         return replace(state, last=pose, counts=dict(counts)), pose
+
+    def _horizon(
+        self,
+        window: Window,
+        state: TrackerState,
+        sample: Sample,
+        pose: Pose | None,
+        began: float,
+        counts: defaultdict[str, int],
+    ) -> TrackerState:
+        """The state with the sample and the network's pose in the window."""
+        before, reason = state.window, ""
+        assert before is not None
+        if len(state.samples) > 1:
+            reason = self._break(sample.time_s - state.samples[-2].time_s)
+        if reason:
+            before = window.restarted(before)
+        said = pose if pose is not None and not pose.note else None
+        try:
+            after = window.step(before, sample, said, began, counts)
+        except WindowFailed as e:
+            after, reason = window.restarted(before), str(e)
+        if not reason and after.pause:
+            reason = NO_TIME
+        proposals = state.proposals if pose is None else (*state.proposals, pose)
+        return replace(
+            state,
+            window=after,
+            gone=reason or state.gone,
+            proposals=proposals[-len(state.samples) :],
+        )
+
+    def _break(self, dt: float) -> str:
+        """What is wrong with a sample that is dt s after the one before, or nothing."""
+        if 0 < dt <= max(self.settings.gap_s, 1.5 / self.rate_hz):
+            return ""
+        return TIME_GAP if dt > 0 else TIME_BACK
+
+    def _given(
+        self, state: TrackerState, pose: Pose | None, trouble: str, counts: defaultdict[str, int]
+    ) -> tuple[TrackerState, Pose, str]:
+        """The state after this frame, its pose, and why the pose is a fallback."""
+        if self.window is None or state.window is None:
+            return self._pose(state, pose, trouble, counts)
+        if pose is not None and pose.note:
+            counts[NETWORK_NOTE] += 1
+        due = state.samples[-1 - min(self.look_ahead_frames, len(state.samples) - 1)]
+        window, found = self.window.pose(state.window, due.time_s, state.last)
+        state = replace(state, window=window)
+        if found is not None:
+            seen = (due.valid & np.isfinite(due.R_world_bone).all((-1, -2))).any()
+            if not self.settings.translation and pose is not None:
+                found = replace(found, p_world_root=pose.p_world_root)
+            return state, found, trouble or ("" if seen else NO_MEASUREMENT)
+        return self._single(state, due, trouble, counts)
+
+    def _single(
+        self, state: TrackerState, due: Sample, trouble: str, counts: defaultdict[str, int]
+    ) -> tuple[TrackerState, Pose, str]:
+        """As `_pose`, of a frame that the window has no pose of: the network's nearest to its time."""
+        if not state.proposals:
+            return state, self._held(state, due.time_s), trouble or state.gone
+        pose = min(reversed(state.proposals), key=lambda p: abs(p.time_s - due.time_s))
+        p = pose.p_world_root if state.last is None else state.last.p_world_root
+        pose = replace(pose, time_s=due.time_s, p_world_root=np.array(p))
+        before = state.refined_s
+        dt = 1 / self.rate_hz if before is None else due.time_s - before
+        if self._break(dt):
+            dt, state = 1 / self.rate_hz, replace(state, memory=self.refinement.start())
+        memory, refined = self.refinement.refine(state.memory, pose, due, dt)
+        _add(counts, refined.events)
+        state = replace(state, memory=memory, refined_s=due.time_s)
+        out = Pose(due.time_s, refined.R_parent_joint, np.array(p), refined.std_rad, pose.note)
+        return state, out, trouble or refined.reason or state.gone
+
+    def facts(self, state: TrackerState) -> dict[str, Any]:
+        """Figures of the run so far: lag_frames; of the window its frames now and at most, steps a frame,
+        what happened to it; and, where they are estimated, heading_deg by sensor as taken out now."""
+        if self.window is None or state.window is None:
+            return {"window_frames": 0}
+        found = self.window.facts(state.window, state.counts)
+        u = self.window.constants(state.window)
+        if u is not None:
+            named = zip(self.sensors, u, strict=True)
+            found["heading_deg"] = {n: float(np.rad2deg(c[3])) for n, c in named}
+        return found
 
     def _ask(self, state: Any, sample: Sample) -> tuple[Any, Pose | None, str]:
         """The network's next state, its pose or None, and what is wrong where None."""
@@ -149,13 +258,13 @@ class Tracker:
             pose = replace(pose, p_world_root=np.array(state.root.p))
         if sample is None:
             return state, pose, NO_SAMPLE
-        before, period = state.refined_s, 1 / self.rate_hz
-        dt = period if before is None else pose.time_s - before
-        if not 0 < dt <= max(self.settings.gap_s, 1.5 * period):
+        before = state.refined_s
+        dt = 1 / self.rate_hz if before is None else pose.time_s - before
+        if reason := self._break(dt):
             root = replace(state.root, soles=None)
             memory = self.refinement.start()
             state = replace(state, refined_s=pose.time_s, memory=memory, root=root)
-            return state, pose, TIME_GAP if dt > 0 else TIME_BACK
+            return state, pose, reason
         memory, refined = self.refinement.refine(state.memory, pose, sample, dt)
         _add(counts, refined.events)
         root, p = state.root, pose.p_world_root

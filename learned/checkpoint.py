@@ -20,7 +20,8 @@ from torch import Tensor
 from learned.config import Config, Normalisation
 from learned.errors import CheckpointError
 from learned.model import Model, build
-from mocap.formats._files import write_aside
+from mocap.errors import FormatError
+from mocap.formats._files import check_regular, read_json, write_aside
 
 SCHEMA = "poser-weights/1"
 WEIGHTS = Path(__file__).parent / "weights"
@@ -68,12 +69,14 @@ def describe(path: Path) -> dict[str, Any]:
     """The JSON beside the weights. Raises CheckpointError where it is absent or not one of ours."""
     beside = path.with_suffix(".json")
     try:
-        record = json.loads(beside.read_text())
+        record = read_json(beside)
     except FileNotFoundError:
         raise CheckpointError(
             f"{beside}: no such file; weights come with their description"
         ) from None
-    except (OSError, ValueError, RecursionError) as e:
+    except FormatError as e:
+        raise CheckpointError(f"{beside}: not a description of weights: {e.problem}") from e
+    except OSError as e:
         raise CheckpointError(f"{beside}: not a description of weights ({e})") from e
     if not isinstance(record, dict) or record.get("schema") != SCHEMA:
         raise CheckpointError(f"{beside}: schema is not {SCHEMA}")
@@ -126,6 +129,7 @@ def load(path: Path, network: str | None = None) -> Model:
     tensors do not fit its description (names, shapes), or hold what no training leaves: values that are not
     finite, deviations of zero or less, covariances that are none.
     """
+    check_regular(path)
     if not path.is_file():
         what = "is a folder; weights are a .safetensors file" if path.is_dir() else "no such file"
         raise CheckpointError(f"{path}: {what}")

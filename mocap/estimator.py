@@ -77,6 +77,14 @@ def tracker_hints(estimator: Estimator) -> Mapping[str, Any]:
     return found
 
 
+def facts(estimator: Estimator, state: Any) -> Mapping[str, Any]:
+    """What an estimator tells of its run so far beyond its poses: figures by name, from its method
+    `facts(state)`, where it has one."""
+    tell = getattr(estimator, "facts", None)
+    found: Mapping[str, Any] = {} if tell is None else tell(state)
+    return found
+
+
 def samples(recording: Recording) -> Iterator[Sample]:
     """The rows of a recording, first to last."""
     for t in range(len(recording)):
@@ -98,7 +106,7 @@ class Replay:
     motion: as many frames as the recording has, aligned in time whatever the look-ahead. frame_s (N,):
     seconds of the step of each sample that the estimator was shown. std_rad (T,24,3), where every pose has
     it. notes: why poses are fallbacks, counted. covariance (72,72), or (T,72,72) where poses differ, rad^2:
-    as in `Pose`, where every pose has it.
+    as in `Pose`, where every pose has it. state: the estimator's after the last sample.
     """
 
     motion: Motion
@@ -106,6 +114,7 @@ class Replay:
     std_rad: Array | None
     notes: Counter[str]
     covariance: Array | None = None
+    state: Any = None
 
     @property
     def fallbacks(self) -> int:
@@ -166,6 +175,7 @@ def replay(
         np.stack(std) if len(std) == len(poses) else None,
         Counter(p.note for p in poses if p.note),
         _covariance(poses),
+        state,
     )
 
 

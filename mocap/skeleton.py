@@ -103,7 +103,7 @@ class Skeleton:
         """The neutral mean SMPL shape, scaled so that its stature is `height` metres.
 
         Without `height`: unscaled, stature `TABLE_STATURE`. The rest root J0 is not scaled: SMPL
-        `trans` of a file without a body model counts from joint 0 of the table (design, "Native files").
+        `trans` of a file without a body model counts from joint 0 of the table (conventions, "Native files").
         Raises ShapeError for a height outside `STATURE_RANGE`.
         """
         offsets = tree.offsets(PARENTS, REST)

@@ -10,10 +10,12 @@ import argparse
 import difflib
 import importlib
 import os
+import signal
 import sys
 import traceback
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from types import FrameType
 from typing import Any, NoReturn
 
 from poser import commands
@@ -92,13 +94,12 @@ def main(argv: list[str] | None = None) -> int:
     try:
         args = parser().parse_args(words)
         name = f"poser {args.command}"
-        status = int(args.run(args))
-        if sys.stdout is not None:
-            sys.stdout.flush()
-        tell_notes()
-        return status
+        return _flushed(int(args.run(args)), name, tell_notes)
     except SystemExit as e:
-        return e.code if isinstance(e.code, int) else WRONG_USAGE
+        return _flushed(e.code if isinstance(e.code, int) else WRONG_USAGE, name)
+    except Ended as e:
+        complain(f"ended by {e}", name)
+        return 128 + e.number
     except KeyboardInterrupt:
         complain("interrupted", name)
         return INTERRUPTED
@@ -113,6 +114,34 @@ def main(argv: list[str] | None = None) -> int:
             traceback.print_exc()
         complain(*_sentence(e, name))
         return WRONG_USAGE if isinstance(e, UsageError) else FAILED
+
+
+class Ended(KeyboardInterrupt):
+    """A signal that asks the process to end: as after Ctrl-C, what is whole is kept."""
+
+    def __init__(self, number: int):
+        self.number = number
+        super().__init__(signal.Signals(number).name)
+
+
+def _end(number: int, frame: FrameType | None) -> NoReturn:
+    raise Ended(number)
+
+
+def _flushed(status: int, name: str, then: Callable[[], None] = lambda: None) -> int:
+    """The status, once stdout has taken everything; FAILED where it does not, as on a full disk."""
+    try:
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except BrokenPipeError:
+        _forget_stdout()
+        return FAILED
+    except OSError as e:
+        _forget_stdout()
+        complain(f"stdout: {e.strerror or e}", name)
+        return FAILED
+    then()
+    return status
 
 
 def _interrupted(e: BaseException) -> bool:
@@ -141,6 +170,9 @@ def _sentence(e: Exception, name: str) -> Sequence[str]:
 def _own_process() -> None:
     """What may be changed where the process is ours: warnings of libraries are not for users, and a
     name that the terminal's encoding lacks is escaped."""
+    for number in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
+        if signal.getsignal(number) is signal.SIG_DFL:  # nohup ignores it
+            signal.signal(number, _end)
     if "--debug" not in sys.argv:
         warnings.simplefilter("ignore")
     for stream in (sys.stdout, sys.stderr):

@@ -57,6 +57,7 @@ def _in_processes(
     came: Callable[[int, Compared | Lost], None],
 ) -> None:
     from concurrent.futures import ProcessPoolExecutor, as_completed
+    from concurrent.futures.process import BrokenProcessPool
     from multiprocessing import get_context
 
     # Spawned, not forked: torch and OpenMP do not survive a fork of a process that has used them.
@@ -69,11 +70,15 @@ def _in_processes(
                 i = futures[future]
                 came(i, future.result())
                 tell(count / len(jobs), f"{jobs[i].name}: done, {count} of {len(jobs)}")
-        except BaseException:
+        except BaseException as e:
             running = list((pool._processes or {}).values())  # shutdown forgets them
             pool.shutdown(wait=False, cancel_futures=True)
             for process in running:
                 process.terminate()
+            if isinstance(e, BrokenProcessPool):
+                raise PoserError(
+                    "a worker process was killed, perhaps for want of memory; try fewer --jobs"
+                ) from e
             raise
 
 
@@ -81,13 +86,26 @@ def _one_thread() -> None:
     """A worker uses one core: the processes are the parallelism. Ctrl-C is the parent's to handle."""
     import os
     import signal
+    import threading
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = "1"
     from threadpoolctl import threadpool_limits
 
     threadpool_limits(1)
+
+
+def _end_with_parent() -> None:
+    """End this process when its parent does, however that ends."""
+    import os
+    from multiprocessing import parent_process
+
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 def _on_cluster(

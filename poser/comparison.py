@@ -20,6 +20,7 @@ from mocap.recording import Recording
 from mocap.skeleton import Skeleton
 from poser.console import Progress, part
 from poser.estimators import (
+    FRAMES,
     HYBRIDS,
     at_once,
     check_devices,
@@ -35,16 +36,18 @@ if TYPE_CHECKING:
     from sip import Settings
 
 METHODS = ("sop", "sip", *(m for m in ONLINE if m != "hybrid"), *HYBRIDS)
+ABLATION = FRAMES  # run where they are named
+KNOWN = (*METHODS, *ABLATION)
 ALIASES = {"hybrid": "hybrid-dip"}
 SOLVED = ("sop", "sip")
-NETWORK = {m: network_of(m) for m in METHODS if m not in SOLVED}
+NETWORK = {m: network_of(m) for m in KNOWN if m not in SOLVED}
 
 
 @dataclass(frozen=True)
 class Job:
     """What to run on one recording.
 
-    name: as it is called in tables. methods: of `METHODS`. sensors: what the methods see (None: `six` where
+    name: as it is called in tables. methods: of `KNOWN`. sensors: what the methods see (None: `six` where
     the recording has them, else all it has). devices: what IMUPoser sees (None: `everyday` of the sensors
     given, else of all that the recording has).
     reference: a motion, "sip-all", or None for the recording's own. skeleton: the body that is solved for.
@@ -95,17 +98,17 @@ def weights_used(jobs: Sequence[Job], methods: Collection[str]) -> dict[str, dic
 
 
 def canonical(names: Sequence[str]) -> tuple[str, ...]:
-    """Method names in the order of `METHODS`, aliases resolved, each once.
+    """Method names in the order of `KNOWN`, aliases resolved, each once.
 
     Raises PoserError for a name that is none.
     """
     wanted = [ALIASES.get(n.strip(), n.strip()) for n in names]
-    odd = [n for n in wanted if n not in METHODS]
+    odd = [n for n in wanted if n not in KNOWN]
     if odd or not wanted:
         raise PoserError(
-            f"method {odd[0] if odd else '(none)'!r} unknown; known: {', '.join(METHODS)}, hybrid"
+            f"method {odd[0] if odd else '(none)'!r} unknown; known: {', '.join(KNOWN)}, hybrid"
         )
-    return tuple(m for m in METHODS if m in wanted)
+    return tuple(m for m in KNOWN if m in wanted)
 
 
 def run(job: Job, tell: Progress = lambda fraction, words: None) -> Compared:

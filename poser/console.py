@@ -19,12 +19,19 @@ class UsageError(PoserError):
     """The arguments contradict each other (exit status 2)."""
 
 
+def shown(text: str) -> str:
+    """`text` with what is not printable escaped: names of others may hold a terminal's commands."""
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or c in "\n\t" else ascii(c)[1:-1] for c in text)
+
+
 def complain(sentence: str, name: str = "poser") -> None:
     """One line on stderr."""
     if sys.stderr is None:
         return
     try:
-        print(f"{name}: {' '.join(sentence.split())}", file=sys.stderr, flush=True)
+        print(f"{name}: {shown(' '.join(sentence.split()))}", file=sys.stderr, flush=True)
     except OSError:
         return  # stderr is closed: the exit status has to do
 
@@ -52,7 +59,7 @@ def milestone(sentence: str, name: str) -> None:
 
 def say(text: str = "") -> None:
     """A line for people on stdout."""
-    print(text)
+    print(shown(text))
 
 
 def emit(value: Mapping[str, Any]) -> None:
@@ -101,7 +108,7 @@ def progress(words: str) -> Iterator[Progress]:
         def tell(fraction: float, text: str) -> None:
             nonlocal reached
             reached = max(reached, min(1.0, float(fraction)))
-            bar.update(task, completed=reached, description=text.replace("[", "\\["))
+            bar.update(task, completed=reached, description=shown(text).replace("[", "\\["))
 
         yield tell
 
@@ -123,4 +130,4 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
             str(c).ljust(w) if i == 0 else str(c).rjust(w)
             for i, (c, w) in enumerate(zip(row, widths, strict=True))
         ]
-        print("  ".join(cells).rstrip())
+        print(shown("  ".join(cells).rstrip()))

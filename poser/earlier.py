@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Iterable
 from pathlib import Path
 
+from mocap.errors import FormatError
+from mocap.formats._files import read_json
 from poser.comparison import METHODS
 from poser.console import UsageError
 from poser.report.results import NO_SKILL, SCHEMA
 
 RECORD = "results.json"
 PAGE = (RECORD, "report.html", "worst.png", "joints.png", "errors.png")
+UNFINISHED = "unfinished-comparison"
+READY = ".poser-whole"  # a new comparison that is whole, on its way to its place
+REPLACED = "replaced.json"  # in it: the files of the old one
 MOTIONS = (*METHODS, *NO_SKILL, "reference")
 
 
@@ -45,6 +51,51 @@ def check_own(folder: Path, found: Iterable[Path]) -> None:
         )
 
 
+def fresh(folder: Path) -> Path:
+    """An empty folder inside for a new comparison, until it is whole.
+
+    What an interrupted one has left there is removed. Raises UsageError where something else lies there.
+    """
+    made = folder / UNFINISHED
+    if made.exists():
+        known = {*PAGE, *(f"{name}.npz" for name in MOTIONS)}
+        for path in made.rglob("*"):
+            if not path.is_dir() and path.name not in known and not path.name.startswith("."):
+                raise UsageError(f"{path}: is not of a comparison; move it out of {made}")
+        shutil.rmtree(made)
+    made.mkdir()
+    return made
+
+
+def replace(old: Iterable[Path], made: Path, folder: Path) -> None:
+    """The new comparison, whole in `made`, in place of the old one.
+
+    Killed in between, the next comparison in the folder goes on with it (`complete`).
+    """
+    ready = folder / READY
+    (made / REPLACED).write_text(json.dumps([str(p.relative_to(folder)) for p in old]))
+    made.rename(ready)
+    complete(folder)
+
+
+def complete(folder: Path) -> None:
+    """Put a comparison in its place that was whole when its run was killed."""
+    ready = folder / READY
+    if not ready.exists():
+        return
+    new = [p for p in ready.rglob("*") if p.is_file() and p.name != REPLACED]
+    listed = read_json(ready / REPLACED) if (ready / REPLACED).exists() else []
+    inside = folder.resolve()
+    old = [folder / name for name in listed if (folder / name).resolve().is_relative_to(inside)]
+    # The old ones first of which there is no new one; what is left is replaced, file by file.
+    remove([p for p in old if ready / p.relative_to(folder) not in new], folder)
+    for path in sorted(new):
+        target = folder / path.relative_to(ready)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        path.replace(target)
+    shutil.rmtree(ready)
+
+
 def remove(found: Iterable[Path], folder: Path) -> None:
     """Delete the files, and folders inside `folder` that are empty then. Raises OSError where it fails."""
     for path in found:
@@ -57,7 +108,7 @@ def remove(found: Iterable[Path], folder: Path) -> None:
 def _listed(folder: Path) -> list[Path] | None:
     """The motions that the record names; None where there is no record of a comparison."""
     try:
-        record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+        record = read_json(folder / RECORD)
         if record["schema"] != SCHEMA:
             return None
         return [
@@ -67,5 +118,5 @@ def _listed(folder: Path) -> list[Path] | None:
             for name in (*r["methods"], "reference")
             if name in MOTIONS
         ]
-    except (OSError, ValueError, LookupError, TypeError):
+    except (OSError, FormatError, LookupError, TypeError):
         return None

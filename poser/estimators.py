@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import learned
 from learned.registry import specification
@@ -30,6 +30,7 @@ METHODS = (
     "hybrid",
 )
 HYBRIDS = tuple(f"hybrid-{n}" for n in NETWORKS)
+FRAMES = tuple(f"frame-{n}" for n in NETWORKS)  # the hybrid without its window
 RARE_S = 0.5  # a device that sends more rarely is gone in between
 
 
@@ -111,11 +112,11 @@ def network_of(method: str, network: str | None = None) -> str:
     Raises PoserError for a method or network that is unknown, or a network that is not the method's.
     """
     name, _, own = method.partition("-")
-    if method not in (*METHODS, *HYBRIDS):
+    if method not in (*METHODS, *HYBRIDS, *FRAMES):
         raise PoserError(f"method {method!r} unknown; known: {', '.join(METHODS)}")
     if network is not None and network not in NETWORKS:
         raise PoserError(f"network {network!r} unknown; known: {', '.join(NETWORKS)}")
-    fixed = own if name == "hybrid" else name
+    fixed = own if name in ("hybrid", "frame") else name
     if fixed and network not in (None, fixed):
         raise PoserError(f"method {method} runs the network {fixed}, not {network}")
     return fixed or network or NETWORKS[0]
@@ -203,13 +204,15 @@ def make(
     skeleton: Skeleton | None = None,
     joint: NDArray[np.int64] | None = None,
     seat: Array | None = None,
+    tracker: Mapping[str, Any] | None = None,
 ) -> Estimator:
     """The estimator of a method for samples at `rate_hz`; its `sensors` are those of `sensors` that it reads.
 
     network: the hybrid's. weights: a file (default: the shipped ones). window: frames before and after
     the one answered for, of a network whose window can be chosen (DIP; default: 20,5). skeleton: the
     wearer's body. joint (S,), seat (S,3) m: where `sensors` sit, for the hybrid and for Adam (default:
-    the table of places); networks know places by their names alone. IMUPoser may be given all five
+    the table of places); networks know places by their names alone. tracker: what the hybrid's settings
+    (`hybrid.TrackerSettings`) have other than by default. IMUPoser may be given all five
     places: it reads those that are valid at the time (`check_devices` is the caller's). Raises PoserError
     where something does not fit.
     """
@@ -233,10 +236,12 @@ def make(
     if way in spec.refiners:
         refined: Estimator = named(spec.refiners[way])(estimator, tuple(joint.tolist()))
         return refined
-    from hybrid import Tracker
+    from hybrid import Tracker, TrackerSettings
 
     seat = table_seat if seat is None else seat[read]
-    return Tracker(estimator, skeleton=skeleton, joint=joint, seat=seat)
+    changes = {**(tracker or {}), **({"horizon_s": 0.0} if method in FRAMES else {})}
+    settings = TrackerSettings.around(estimator, **changes)
+    return Tracker(estimator, settings, skeleton=skeleton, joint=joint, seat=seat)
 
 
 def check_window(network: str, window: tuple[int, int] | None) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,21 +25,6 @@ _KINDS = {
     "recording": "a calibrated recording",
     "raw": "a raw recording",
 }
-_SIGNS = {
-    "native": "poser's recordings (field schema)",
-    "amass": "AMASS motions (field poses)",
-    "dip": "DIP-IMU",
-    "bvh": "BVH (begins with HIERARCHY)",
-    "asfamc": "ASF and AMC text",
-    "totalcapture": "TotalCapture",
-    "qmt": "qmt's full-body example (MATLAB 5.0)",
-    "opensense": "OpenSense tables (DataType in the header)",
-    "xsens_mtw": "Xsens MT Manager exports (tab-separated columns PacketCounter, Acc_X, ...)",
-    "mvnx": "Xsens MVNX",
-    "csv": "tables with columns such as pelvis.acc_x (docs/conventions.md)",
-    "imuposer": "IMUPoser's dataset",
-}
-"""What tells a file of a format, for whoever has another."""
 _HINTS = {
     ("raw", "recording"): "; poser calibrate makes the one from the other",
     ("recording", "raw"): "; it needs no calibration",
@@ -52,10 +37,6 @@ def read(path: Path, options: Options | None = None) -> Document:
     """Any file of a known format."""
     from mocap import formats
 
-    if path.is_dir():
-        _check_folder(path)
-    else:
-        _check_like(path)
     doc = formats.read(path, options)
     own = _overridden_rate(path, options, doc)
     if own is None:
@@ -80,37 +61,6 @@ def _overridden_rate(path: Path, options: Options | None, doc: Document) -> floa
     return None if same or own.assumptions != doc.assumptions else own.content.rate_hz
 
 
-def _check_like(path: Path) -> None:
-    """Raises FormatError for what is no file, or like none of the formats of its suffix, and names these."""
-    from mocap import formats
-    from mocap.formats._files import check_regular
-
-    check_regular(path)
-    try:
-        with path.open("rb") as f:
-            head = f.read(4096)
-    except OSError:
-        return  # the reader says why it cannot be read
-    suffix = path.suffix.lower()
-    tried = [f for f in formats.registry() if suffix in f.suffixes]
-    if head and tried and not any(f.sniff(path, head) for f in tried):
-        known = "; ".join(_SIGNS.get(f.name, f.name) for f in tried)
-        raise FormatError(path, f"is none of the {suffix} files that are read: {known}")
-
-
-def _check_folder(path: Path) -> None:
-    """Raises FormatError for a folder that is no recording of several files."""
-    from mocap import formats
-
-    try:
-        formats.detect(path)
-    except FormatError as e:
-        known = " and ".join(f.name for f in formats.registry() if "" in f.suffixes)
-        raise FormatError(
-            path, f"is a folder, expected a file (of folders, those of {known} are read)"
-        ) from e
-
-
 def motion(path: Path, options: Options | None = None, quiet: bool = False) -> Motion:
     """The motion in a file; raises FormatError where it holds something else."""
     return _expect(path, "motion", options, quiet)  # type: ignore[return-value]
@@ -132,6 +82,25 @@ def note_gaps(path: Path, used: Recording, whole: Recording) -> None:
     where = f"{path}, {words(used)}" if len(used) < len(whole) else str(path)
     for text in missing(used):
         note(f"{where}: {text}")
+
+
+def thinned(
+    path: Path,
+    recording: Recording,
+    most_hz: float | None = None,
+    then: str = ", and given back at its own rate (--rate says otherwise)",
+) -> Recording:
+    """The recording at no more than `most_hz` (default: 120), which is noted. then: what follows."""
+    from mocap import thinning
+
+    fewer = thinning.thinned(recording, most_hz or thinning.MOST_HZ)
+    if fewer is not recording:
+        n = round(recording.rate_hz / fewer.rate_hz)
+        note(
+            f"{path}: runs at {recording.rate_hz:g} Hz; poses are estimated at {fewer.rate_hz:.4g} Hz, "
+            f"from the mean of every {n} samples{then}"
+        )
+    return fewer
 
 
 def note_no_acc(path: Path, used: Recording) -> None:
@@ -201,6 +170,8 @@ def check_output(path: Path, inputs: Sequence[Path], suffixes: tuple[str, ...]) 
 
     Raises UsageError for a wrong suffix or an input, PoserError for a folder that is missing.
     """
+    from mocap.formats._files import check_target
+
     if path.suffix.lower() not in suffixes:
         raise UsageError(f"{path}: the output's name must end in {' or '.join(suffixes)}")
     folder = path.parent
@@ -208,11 +179,16 @@ def check_output(path: Path, inputs: Sequence[Path], suffixes: tuple[str, ...]) 
         raise PoserError(f"{path}: there is no folder {folder} to write it to")
     if path.is_dir():
         raise PoserError(f"{path}: is a folder, expected a file name")
+    target = check_target(path)
     if not os.access(folder, os.W_OK):
         raise PoserError(f"{path}: the folder {folder} cannot be written to")
     for source in inputs:
         if _same(path, source):
             raise UsageError(f"{path}: is the input; the output needs a name of its own")
+    if path.is_symlink():
+        note(f"{path}: is a link; {target} is written")
+    elif target.exists():
+        note(f"{path}: an earlier file of that name is replaced")
 
 
 def _same(a: Path, b: Path) -> bool:
@@ -223,12 +199,18 @@ def _same(a: Path, b: Path) -> bool:
 
 
 @contextmanager
-def folder(path: Path) -> Iterator[None]:
-    """As `make_folder`; folders that were made for it are removed again where nothing was put into them."""
+def folder(path: Path, single: bool = False) -> Iterator[None]:
+    """As `make_folder`; folders that were made for it are removed again where nothing was put into them.
+
+    single: raise PoserError where another run writes into the folder; several `poser synthesize` may.
+    """
+    from mocap.formats._files import alone
+
     made = [p for p in (path, *path.parents) if not p.exists()]
     make_folder(path)
     try:
-        yield
+        with alone(path) if single else nullcontext():
+            yield
     finally:
         for p in made:
             try:

@@ -14,6 +14,7 @@ from poser.exports import LOOKS
 if TYPE_CHECKING:
     from mocap.formats import Options
 
+MOST_HORIZON_S, MOST_LAG = 5.0, 120
 UNITS = ("g", "m/s^2", "deg/s", "rad/s")
 SENSORS_HELP = "six, five, all, or names separated by commas"
 
@@ -179,6 +180,41 @@ def reading(args: Namespace) -> Options:
     )
 
 
+def add_horizon(parser: ArgumentParser) -> None:
+    """--horizon and --lag: of the hybrid's window."""
+    parser.add_argument(
+        "--horizon", type=number, metavar="SECONDS",
+        help="hybrid: length of the window that each pose rests on (default: 0.4; 0: a frame alone)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--lag", type=_frames, metavar="FRAMES",
+        help="hybrid: frames that a pose waits for (default: the network's look-ahead; 0: none; more are "
+        "more accurate)",
+    )  # fmt: skip
+
+
+def horizon(args: Namespace) -> dict[str, Any]:
+    """The hybrid's settings that --horizon and --lag name. Raises UsageError."""
+    given = {"--horizon": args.horizon, "--lag": args.lag}
+    for name, value in given.items():
+        if value is not None and not args.method.startswith("hybrid"):
+            raise UsageError(f"argument {name}: it is the hybrid's")
+    if args.horizon is not None and not 0 <= args.horizon <= MOST_HORIZON_S:
+        raise UsageError(f"argument --horizon: 0 to {MOST_HORIZON_S:g} s, got {args.horizon:g}")
+    if args.lag is not None and args.horizon == 0:
+        raise UsageError(
+            "argument --lag: without a window (--horizon 0) it is the network's look-ahead"
+        )
+    found = {"horizon_s": args.horizon, "lag": args.lag}
+    return {k: v for k, v in found.items() if v is not None}
+
+
+def _frames(text: str) -> int:
+    if not text.strip().isdecimal() or int(text) > MOST_LAG:
+        raise ArgumentTypeError(f"{text!r} is not a number of frames from 0 to {MOST_LAG}")
+    return int(text)
+
+
 def add_json(parser: ArgumentParser) -> None:
     """--json."""
     parser.add_argument("--json", action="store_true", help="print the answer as JSON")
@@ -190,6 +226,15 @@ def add_window(parser: ArgumentParser) -> None:
         parser.add_argument(
             flag, dest=dest, type=number, metavar="S", help=f"{what} this time in s"
         )
+
+
+def add_solving_rate(parser: ArgumentParser) -> None:
+    """--rate, of the frames that are estimated."""
+    parser.add_argument(
+        "--rate", type=rate, metavar="HZ",
+        help="estimate a faster recording at this rate at most, and give the poses back at its own "
+        "(default: 120)",
+    )  # fmt: skip
 
 
 def add_output(parser: ArgumentParser, metavar: str, help: str) -> None:

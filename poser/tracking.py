@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,10 +27,12 @@ class Tracked:
     look_ahead_frames: int
     sensors: tuple[str, ...]
     network_hz: float
+    facts: Mapping[str, Any] = field(default_factory=dict)
 
     def record(self) -> dict[str, Any]:
         """What `track --json` and results.json say of it. notes: fallbacks by reason. frame_ms: of each frame
-        of the recording, also of those in which a slower network is not run."""
+        of the recording, also of those in which a slower network is not run. Then what the estimator tells
+        of itself (`mocap.estimator.facts`)."""
         ms = 1e3 * self.run.frame_s
         return {
             "method": self.method,
@@ -44,6 +47,7 @@ class Tracked:
             "notes": dict(self.run.notes),
             "look_ahead_frames": self.look_ahead_frames,
             "used_sensors": list(self.sensors),
+            **self.facts,
         }
 
 
@@ -55,21 +59,25 @@ def track(
     weights: Path | None = None,
     window: tuple[int, int] | None = None,
     skeleton: Skeleton | None = None,
+    tracker: Mapping[str, Any] | None = None,
     progress: Progress = lambda fraction, words: None,
 ) -> Tracked:
-    """Run dip, imuposer, imuposer-adam or hybrid over the recording, sample by sample.
+    """Run dip, imuposer, imuposer-adam, hybrid or the single frame's (frame-dip, frame-imuposer) over the
+    recording, sample by sample.
 
-    skeleton: the wearer's body. Raises PoserError where the recording's sensors do not serve the method.
+    skeleton: the wearer's body. tracker: settings of the hybrid other than by default.
+    Raises PoserError where the recording's sensors do not serve the method.
     """
     from learned import specification
-    from mocap.estimator import replay
+    from mocap.estimator import facts, replay
     from poser.estimators import make
 
     estimator = make(
         method, recording.rate_hz, recording.sensors,
         network=network, weights=weights, window=window, skeleton=skeleton,
-        joint=recording.joint, seat=recording.placement,
+        joint=recording.joint, seat=recording.placement, tracker=tracker,
     )  # fmt: skip
     run = replay(estimator, recording, lambda share: progress(share, method), skeleton)
     ahead, names = estimator.look_ahead_frames, estimator.sensors
-    return Tracked(run, method, network, ahead, names, specification(network).rate_hz)
+    told = facts(estimator, run.state)
+    return Tracked(run, method, network, ahead, names, specification(network).rate_hz, told)

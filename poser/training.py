@@ -6,7 +6,7 @@ import json
 import os
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -134,6 +134,7 @@ def check_outputs(args: Namespace, inputs: Sequence[Path]) -> None:
     if args.export:
         files.check_output(args.export, [*inputs, *filter(None, [args.start])], (".safetensors",))
         _check_export(args.export, args.output)
+        _check_companions(args.export)
     if args.plot:
         files.check_output(args.plot, inputs, (".png",))
     files.make_folder(args.output)
@@ -156,6 +157,40 @@ def _check_export(export: Path, folder: Path) -> None:
             raise UsageError(
                 f"{export}: the run keeps its own {path.name} there; export under another name"
             )
+
+
+def _check_companions(export: Path) -> None:
+    """Raises PoserError where NAME.json or NAME.md beside an export is somebody else's: both are written."""
+    from learned import checkpoint
+
+    beside = export.with_suffix(".json")
+    if beside.exists():
+        try:
+            checkpoint.describe(export)
+        except PoserError as e:
+            raise PoserError(
+                f"{beside}: is no description of weights and would be overwritten; export under another name"
+            ) from e
+    elif export.with_suffix(".md").exists():
+        raise PoserError(
+            f"{export.with_suffix('.md')}: is not of these weights and would be overwritten; export under "
+            f"another name"
+        )
+
+
+@contextmanager
+def only_run(args: Namespace) -> Iterator[None]:
+    """The run's folder is held while the block runs: a second training in it would mix two.
+
+    Of several processes (torchrun) the first holds it. Raises PoserError where another holds it.
+    """
+    from mocap.formats._files import alone
+
+    if not _first():
+        yield
+        return
+    with alone(args.output):
+        yield
 
 
 def execute(
@@ -266,10 +301,12 @@ def _figures(row: dict[str, Any]) -> str:
 
 def read_log(folder: Path) -> list[dict[str, Any]]:
     """The rows of a run's log, one a validation."""
+    from mocap.formats._files import read_text
+
     path = folder / "log.jsonl"
     if not path.exists():
         return []
-    return [json.loads(line) for line in path.read_text().splitlines() if line.endswith("}")]
+    return [json.loads(line) for line in read_text(path).splitlines() if line.endswith("}")]
 
 
 def draw_log(log: Sequence[dict[str, Any]]) -> Figure:

@@ -91,10 +91,12 @@ class FrameBeliefs:
     def then(self, other: Self) -> Self:
         """These frames and those."""
         R, scale = np.concatenate([self.R, other.R]), np.concatenate([self.scale, other.scale])
-        if self.L is other.L or not other.scale.any():
-            return replace(self, R=R, scale=scale)
-        if not self.scale.any():  # silent: any whitener is right
-            return replace(other, R=R, scale=scale)
+        for kept, added in ((self, other), (other, self)):
+            # Of frames without belief the weight is zero, whatever L is; after unpickling L is a copy.
+            if kept.L is added.L or (
+                kept.L.ndim == 2 and (not added.scale.any() or np.array_equal(kept.L, added.L))
+            ):
+                return replace(kept, R=R, scale=scale)
         L, H = (
             np.concatenate([np.broadcast_to(a, (len(b), *a.shape[-2:])) for a, b in pairs])
             for pairs in (

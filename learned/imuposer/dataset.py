@@ -119,4 +119,12 @@ def _sniff(path: Path, head: bytes) -> bool:
     return _pickled.mentions(path, b"imu") and _pickled.mentions(path, b"torch")
 
 
-FORMAT = Format("imuposer", (".pkl", ".pt", ".pth"), _sniff, _checks.quiet(read))
+FORMAT = Format(
+    "imuposer",
+    (".pkl", ".pt", ".pth"),
+    _sniff,
+    _checks.quiet(read),
+    kinds=("recording",),
+    about="IMUPoser's dataset",
+    sign="IMUPoser's dataset",
+)

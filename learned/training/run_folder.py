@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import pickle
 from dataclasses import dataclass
@@ -17,7 +18,8 @@ from learned.model import Model
 from learned.registry import NETWORKS
 from learned.training.settings import TrainSettings
 from learned.training.validation import Windowed
-from mocap.formats._files import write_aside
+from mocap.errors import FormatError
+from mocap.formats._files import about, check_regular, read_text, write_aside
 
 # Settings that may change when a run goes on: when it ends, and what suits the machine.
 FREE = ("steps", "minutes", "patience", "bfloat16")
@@ -116,8 +118,11 @@ class RunFolder:
 
     def write(self, state: dict[str, Any], identity: Identity) -> None:
         """The state as a whole, in place of the one before."""
+        # Into memory first: of a full disk torch tells nothing that a user could read.
+        whole = io.BytesIO()
+        torch.save(state | identity.to_state(), whole)
         with write_aside(self.state) as aside:
-            torch.save(state | identity.to_state(), aside)
+            aside.write_bytes(whole.getbuffer())
 
     def read(self, identity: Identity) -> dict[str, Any]:
         """The state. Raises TrainingError where it is damaged or of another run.
@@ -125,8 +130,11 @@ class RunFolder:
         Earlier versions wrote no `start` and no `validation`: such a state fits any.
         """
         try:
+            check_regular(self.state)
             state: dict[str, Any] = torch.load(self.state, weights_only=True, map_location="cpu")
             settings = _fixed(state["settings"])
+        except FormatError:
+            raise
         except pickle.UnpicklingError as e:
             raise self.damaged("it is damaged, or holds more than tensors and is not loaded") from e
         # The file is a pickle of tensors: what else breaks in a damaged one cannot be listed.
@@ -155,13 +163,13 @@ class RunFolder:
 
     def append(self, row: dict[str, Any]) -> None:
         """One line more in the log."""
-        with self.log.open("a") as log:
+        with about(self.log), self.log.open("a") as log:
             log.write(json.dumps(row) + "\n")
 
     def cut_log(self, step: int) -> None:
         """Lines of later steps were written by a run that was killed before it saved: redone now."""
         if self.log.exists():
-            rows = [line for line in self.log.read_text().splitlines() if line.endswith("}")]
+            rows = [line for line in read_text(self.log).splitlines() if line.endswith("}")]
             with write_aside(self.log) as aside:
                 kept = [r for r in rows if json.loads(r)["step"] <= step]
                 aside.write_text("".join(r + "\n" for r in kept))

@@ -25,6 +25,7 @@ import numpy as np
 from mocap import orientation as ori
 from mocap import sensors as places
 from mocap.calibration import checks, fusion, pose_facing
+from mocap.calibration.blind import at_rest, blind, told
 from mocap.calibration.evidence import Evidence, Held, gather
 from mocap.calibration.pose_facing import OtherPose, PoseName
 from mocap.calibration.record import Calibration, Source, turned
@@ -57,7 +58,8 @@ def calibrate(
     heading of the wearer's forward in the sensors' world in deg (0: our +z, 90: +x), where known. axes:
     known mountings, {"pelvis": "x forward"}. second: another static pose and its time, ("t", 12.5).
     Without these three: the file's own `facing_rad`, else the motion, else 0 is assumed and a warning
-    says so. orientation: "file" (R_world_sensor of `raw`), "vqf" (from gyr, acc and mag), "auto" (the
+    says so. Sensors that have orientations and no acceleration are calibrated by these, with a warning.
+    orientation: "file" (R_world_sensor of `raw`), "vqf" (from gyr, acc and mag), "auto" (the
     file's if it has one). scale_acc: scale each accelerometer to read g in the pose (by 5 % at most, and
     only in a pose that is still). strict: raise CalibrationError at a finding of severity "error"; with False
     the result comes anyway, and the findings are in its `diagnostics`. A wearer who moves at a time that was
@@ -70,8 +72,9 @@ def calibrate(
 
     # Gather.
     source: Source = "vqf" if raw.R_world_sensor is None or orientation == "vqf" else "file"
-    sensed = gather(raw if source == "file" else replace(raw, R_world_sensor=None))
-    findings = _refused_if(strict, checks.run(sensed, "sensors"))
+    seen = raw if source == "file" else replace(raw, R_world_sensor=None)
+    sensed = gather(at_rest(seen))
+    findings = _refused_if(strict, checks.run(sensed, "sensors")) + told(seen)
     window = find_static(sensed.raw, at)
     fused = sensed.raw if source == "file" else fusion.with_orientation(sensed.raw)
     static = average(fused, window)
@@ -88,7 +91,9 @@ def calibrate(
     # Apply.
     scale = scale_acc and window.still
     result = _calibration(raw, bones, held, faced.method, source, findings, scale)
-    return turned(fused, result), result
+    silent = np.broadcast_to(blind(seen)[:, None], fused.acc.shape)
+    measured = replace(fused, acc=np.where(silent, np.nan, fused.acc))
+    return turned(measured, result), result
 
 
 def _allowed(raw: RawRecording, orientation: Orientation) -> None:
@@ -137,8 +142,8 @@ def diagnose(raw: RawRecording, calibration: Calibration | None = None) -> list[
     """
     if calibration is not None:
         raw = raw.select(calibration.sensors)
-    sensed = gather(raw)
-    found = checks.run(sensed, "sensors")
+    sensed = gather(at_rest(raw))
+    found = checks.run(sensed, "sensors") + told(raw)
     if checks.failed(found):
         return checks.settled(found)
     if calibration is None:

@@ -99,6 +99,13 @@ def _scale(d: Details) -> str:
     )
 
 
+def _no_acc(d: Details) -> str:
+    poses = (
+        "poses rest on orientations alone (SOP)" if d["all"] else "its orientation alone is used"
+    )
+    return f"no acceleration: {poses}; its unit, axes and gravity cannot be checked"
+
+
 _UNITS = {
     "mg": "acc is in mg or cm/s^2, divide by 1000/9.80665 or by 100",
     None: "its unit is unknown",
@@ -280,6 +287,7 @@ _TURNED = (
 _WORDS: dict[str, str | Callable[[Details], str]] = {
     "impossible-sample": _impossible,
     "no-data": _no_data,
+    "no-acc": _no_acc,
     "acc-without-gravity": _READS
     + "gravity seems to be removed already ({constant:.2g} in the mean over half a second), and the specific "
     "force with gravity is needed",

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from mocap.errors import FormatError, PoserError
-from mocap.formats import _files
+from mocap.formats import _files, _foreign
 from mocap.motion import Motion
 from mocap.recording import RawRecording, Recording
 
@@ -84,7 +84,9 @@ class Format:
     """One file format.
 
     suffixes: lower case with the dot. sniff(path, head): whether the first 4 KiB (or the folder, with
-    empty head) look like it. read(path, options) -> Document. write(path, content): None if read-only.
+    empty head) look like it. read(path, options) -> Document; `written_only` where none does. write(path,
+    content): None if it is read only. kinds: what files of it may hold. about: whose files these are, in one
+    line. sign: what tells such a file from others of its suffix, for whoever has another.
     """
 
     name: str
@@ -92,6 +94,19 @@ class Format:
     sniff: Callable[[Path, bytes], bool]
     read: Callable[[Path, Options], Document]
     write: Callable[[Path, Content], None] | None = None
+    kinds: tuple[Kind, ...] = ()
+    about: str = ""
+    sign: str = ""
+
+    @property
+    def readable(self) -> bool:
+        """Whether there is a reader."""
+        return self.read is not written_only
+
+
+def written_only(path: Path, options: Options) -> Document:
+    """The reader of a format that has none."""
+    raise FormatError(path, _foreign.instead(path.suffix.lower()) or "such files are written only")
 
 
 # In the order of trial: the first whose suffix and sniff both fit reads the file.
@@ -115,7 +130,7 @@ def registry() -> Iterator[Format]:
 
 
 def detect(path: Path) -> Format:
-    """The format of a file or folder; raises FormatError where none fits."""
+    """The format of a file or folder; raises FormatError where none fits, which says what is read instead."""
     if not path.exists():
         raise FormatError(path, "no such file")
     _files.check_regular(path)
@@ -126,15 +141,22 @@ def detect(path: Path) -> Format:
         if not head:
             raise FormatError(path, "the file is empty")
     suffix = "" if path.is_dir() else path.suffix.lower()
-    tried = [f for f in registry() if suffix in f.suffixes]
+    readable = [f for f in registry() if f.readable]
+    tried = [f for f in readable if suffix in f.suffixes]
     for fmt in tried:
         if fmt.sniff(path, head):
             return fmt
-    if tried:
-        names = " or ".join(dict.fromkeys(f.name for f in tried))
-        raise FormatError(path, f"not a readable {names} file: its first bytes do not fit")
-    known = sorted({s for f in registry() for s in f.suffixes})
-    raise FormatError(path, f"suffix {suffix or '(none)'!r} unknown; known: {' '.join(known)}")
+    if path.is_dir():
+        names = " and ".join(f.name for f in tried)
+        raise FormatError(
+            path, f"is a folder, expected a file (of folders, those of {names} are read)"
+        )
+    if tried and suffix:
+        signs = "; ".join(f.sign or f.name for f in tried)
+        raise FormatError(path, f"is none of the {suffix} files that are read: {signs}")
+    known = " ".join(sorted({s for f in readable for s in f.suffixes if s}))
+    told = _foreign.instead(suffix) or f"suffix {suffix or '(none)'!r} unknown; known: {known}"
+    raise FormatError(path, told)
 
 
 def read(path: str | Path, options: Options | None = None) -> Document:

@@ -21,7 +21,7 @@ ratio of leg lengths, and the lowest foot of the motion stands on the floor y = 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -68,7 +68,8 @@ def retarget(
     doubts += unit_doubt
     drop = neutral.t_pose_frames
     if len(source) > drop + 1 and _starts_with_t_pose(source, roles, neutral.U):
-        source = source.slice(drop)
+        # The T-pose was put before the take, whose clock starts with the frame after it.
+        source = replace(source.slice(drop), start_s=source.start_s + (drop - 1) / source.rate_hz)
         said.append(f"the file starts with a T-pose: its first {drop} frames are dropped")
     R = _rotations(source, roles, neutral, skeleton)
     p = _root_path(source, roles, neutral.U, R, skeleton)

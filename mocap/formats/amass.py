@@ -195,4 +195,13 @@ def _write(path: Path, content: Content) -> None:
     write_motion(path, content)
 
 
-FORMAT = Format("amass", (".npz", ".pkl"), _sniff, _checks.quiet(read), _write)
+FORMAT = Format(
+    "amass",
+    (".npz", ".pkl"),
+    _sniff,
+    _checks.quiet(read),
+    _write,
+    kinds=("motion",),
+    about="SMPL motions: AMASS, AIST++, what video tools write",
+    sign="AMASS motions (field poses)",
+)

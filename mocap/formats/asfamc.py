@@ -155,4 +155,12 @@ def sniff(path: Path, head: bytes) -> bool:
     return (start in (b"#", b":") or start.isdigit()) and b"\0" not in head
 
 
-FORMAT = Format("asfamc", (".amc", ".asf"), sniff, _checks.quiet(read))
+FORMAT = Format(
+    "asfamc",
+    (".amc", ".asf"),
+    sniff,
+    _checks.quiet(read),
+    kinds=("motion",),
+    about="CMU's files: an .amc with its subject's .asf beside it",
+    sign="ASF and AMC text",
+)

@@ -238,4 +238,13 @@ def _write(path: Path, content: Content) -> None:
     write_motion(path, content)
 
 
-FORMAT = Format("bvh", (".bvh",), sniff, read, _write)
+FORMAT = Format(
+    "bvh",
+    (".bvh",),
+    sniff,
+    read,
+    _write,
+    kinds=("motion",),
+    about="skeletons of most animation tools: Mixamo, Rokoko, OptiTrack, Xsens, Blender",
+    sign="BVH (begins with HIERARCHY)",
+)

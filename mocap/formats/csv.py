@@ -388,4 +388,13 @@ def _sniff(path: Path, head: bytes) -> bool:
     return b"\0" not in head and any(c[0].encode() in head.lower() for c in _GROUPS.values())
 
 
-FORMAT = Format("csv", (".csv", ".tsv", ""), _sniff, _checks.quiet(_read), _write)
+FORMAT = Format(
+    "csv",
+    (".csv", ".tsv", ""),
+    _sniff,
+    _checks.quiet(_read),
+    _write,
+    kinds=("raw",),
+    about="a table of all sensors, or a folder with one a sensor",
+    sign="tables with columns such as pelvis.acc_x (docs/conventions.md)",
+)

@@ -170,4 +170,12 @@ def _sniff(path: Path, head: bytes) -> bool:
     return _pickled.mentions(path, b"imu_ori")
 
 
-FORMAT = Format("dip", (".pkl", ".npz"), _sniff, _checks.quiet(_read))
+FORMAT = Format(
+    "dip",
+    (".pkl", ".npz"),
+    _sniff,
+    _checks.quiet(_read),
+    kinds=("recording",),
+    about="DIP-IMU: pickles of its sessions, or its .npz release",
+    sign="DIP-IMU",
+)

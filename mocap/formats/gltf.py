@@ -19,7 +19,7 @@ import numpy as np
 from mocap import orientation as ori
 from mocap.body import Look, Skin, skin
 from mocap.errors import FormatError, ShapeError
-from mocap.formats import Content, Document, Format, Options
+from mocap.formats import Content, Format, written_only
 from mocap.formats._files import write_aside
 from mocap.motion import Motion
 from mocap.orientation import Array
@@ -163,14 +163,19 @@ def _sniff(path: Path, head: bytes) -> bool:
     return head[:4] == b"glTF"
 
 
-def _read(path: Path, options: Options) -> Document:
-    raise FormatError(path, "glTF is written only; export BVH from the tool that made it")
-
-
 def _write(path: Path, content: Content) -> None:
     if not isinstance(content, Motion):
         raise FormatError(path, "glTF holds a motion, not a recording")
     write_motion(path, content)
 
 
-FORMAT = Format("gltf", (".glb",), _sniff, _read, _write)
+FORMAT = Format(
+    "gltf",
+    (".glb",),
+    _sniff,
+    written_only,
+    _write,
+    kinds=("motion",),
+    about="skeleton and body for Blender and three.js",
+    sign="glTF",
+)

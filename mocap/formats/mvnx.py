@@ -3,7 +3,9 @@
 Read by tag. A frame of type `normal` holds `orientation` (wxyz per segment), `position` (m), and per
 sensor `sensorOrientation` (wxyz) and `sensorFreeAcceleration` (m/s^2, gravity removed, world); where there is
 `sensorAcceleration` instead, gravity tells whose axes it is in. The world is z-up with x forward: (x, y, z)
-becomes our (y, z, x). Segment frames are the world's in the T-pose, as our bones' are.
+becomes our (y, z, x). Segment frames are the world's in the T-pose, with straight arms and legs. Our bones'
+are the world's in our rest pose, so those of arms and legs are turned from one to the other, as in
+`_retarget`.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from numpy.typing import NDArray
 from mocap import orientation as ori
 from mocap.errors import FormatError, ShapeError
 from mocap.formats import Document, Format, Options, _checks, _clock, _holes, _physics, _text, _xml
+from mocap.formats._neutral import straightening
 from mocap.motion import Motion
 from mocap.orientation import Array
 from mocap.recording import Recording
@@ -188,6 +191,25 @@ def _turned(path: Path, quat: Array, names: tuple[str, ...], tag: str) -> Array:
     return R_OURS_MVN @ R @ R_OURS_MVN.T
 
 
+def straightened(body: Skeleton) -> dict[int, Array]:
+    """R_segment_bone (3,3) of thighs, shanks, upper arms and forearms, by our joint index.
+
+    A segment's frame is the world's in the T-pose with straight limbs; our bones' are in our rest pose.
+    """
+    turns = straightening(body.rest_positions, {j: j for j in range(24)})
+    return {joint: S.T for joint, S in turns.items()}
+
+
+def _bones(take: _Take, R: Array, body: Skeleton) -> Array:
+    """R_world_bone (T,N,3,3) of our body from R_world_segment, segments as they are named."""
+    R = np.array(R)
+    for joint, R_segment_bone in straightened(body).items():
+        if _SEGMENTS[joint] in take.segments:
+            i = take.segments.index(_SEGMENTS[joint])
+            R[:, i] = R[:, i] @ R_segment_bone
+    return R
+
+
 def _body(take: _Take, options: Options) -> tuple[Skeleton, list[str]]:
     """The table's body at the wearer's stature: by the height of the head joint over the toes."""
     if options.smpl is not None:
@@ -245,7 +267,7 @@ def _positions(path: Path, take: _Take) -> Array | None:
 def _motion(
     path: Path, take: _Take, R: Array, clock: _Clock, body: Skeleton
 ) -> tuple[Motion | None, slice, tuple[str, ...]]:
-    """The segments' pose (N,n,3,3) on our tree, the frames that it covers, and what was mended.
+    """R_world_bone (N,n,3,3) by segment, on our tree, the frames that it covers, and what was mended.
 
     The pelvis segment's origin lies between the hips. None where more than half of the frames are beyond a
     hole too long to be bridged.
@@ -274,7 +296,7 @@ def _motion(
 def _recording(
     path: Path,
     take: _Take,
-    R_segment: Array,
+    R_carrier: Array,
     motion: Motion | None,
     kept: slice,
     clock: _Clock,
@@ -282,8 +304,8 @@ def _recording(
 ) -> tuple[Recording, list[str]]:
     """Sensors on their bones: R_world_bone = R_world_sensor R_bone_sensor^T.
 
-    R_bone_sensor is the chordal mean over all frames of R_world_segment^T R_world_sensor. Of all frames
-    those `kept` are in the recording.
+    R_carrier (N,n,3,3): R_world_bone by segment. R_bone_sensor is the chordal mean over all frames of its
+    inverse times R_world_sensor. Of all frames those `kept` are in the recording.
     """
     quat = _array(path, take, "sensorOrientation")
     assert quat is not None
@@ -291,7 +313,7 @@ def _recording(
     names = tuple(take.sensors[s] for s in use)
     sensors = tuple(PLACES[n] for n in names)
     R = _turned(path, quat[:, use], names, "sensorOrientation")
-    carrier = R_segment[:, [take.segments.index(n) for n in names]]
+    carrier = R_carrier[:, [take.segments.index(n) for n in names]]
     relative = np.swapaxes(carrier, -1, -2) @ R
     R_bone = np.empty_like(R)
     doubts = []
@@ -359,6 +381,7 @@ def _read(path: Path, options: Options) -> Document:
         where = _checks.at(tuple(take.segments), t, s, "orientation")
         raise FormatError(path, "not finite", where)
     body, assumed = _body(take, options)
+    R = _bones(take, R, body)
     missing = [n for n in dict.fromkeys(_SEGMENTS) if n not in take.segments]
     motion, kept = None, slice(0, int(clock.frames[-1]) + 1)
     if missing:
@@ -389,4 +412,12 @@ def _sniff(path: Path, head: bytes) -> bool:
     return b"<mvnx" in head or head.lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"<?xml")
 
 
-FORMAT = Format("mvnx", (".mvnx",), _sniff, _checks.quiet(_read))
+FORMAT = Format(
+    "mvnx",
+    (".mvnx",),
+    _sniff,
+    _checks.quiet(_read),
+    kinds=("recording", "motion"),
+    about="Xsens MVN exports, with the suit's motion as reference",
+    sign="Xsens MVNX",
+)

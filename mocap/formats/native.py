@@ -287,4 +287,13 @@ def _write_any(path: Path, content: Content) -> None:
         write_motion(path, content)
 
 
-FORMAT = Format("native", (".npz",), _sniff, _checks.quiet(_read), _write_any)
+FORMAT = Format(
+    "native",
+    (".npz",),
+    _sniff,
+    _checks.quiet(_read),
+    _write_any,
+    kinds=("motion", "recording", "raw"),
+    about="this program's own recordings, and motions with what is known of them",
+    sign="poser's recordings (field schema)",
+)

@@ -119,4 +119,12 @@ def _sniff(path: Path, head: bytes) -> bool:
     return b"datatype" in head.lower() or b"endheader" in head.lower()
 
 
-FORMAT = Format("opensense", (".sto",), _sniff, _checks.quiet(_read))
+FORMAT = Format(
+    "opensense",
+    (".sto",),
+    _sniff,
+    _checks.quiet(_read),
+    kinds=("raw",),
+    about="OpenSense tables of orientations",
+    sign="OpenSense tables (DataType in the header)",
+)

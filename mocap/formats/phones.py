@@ -316,4 +316,12 @@ def _sniff(path: Path, head: bytes) -> bool:
     return bool(_tables(path)) or any(f.is_dir() and _tables(f) for f in path.iterdir())
 
 
-FORMAT = Format("phones", (".csv", ""), _sniff, _checks.quiet(_read))
+FORMAT = Format(
+    "phones",
+    (".csv", ""),
+    _sniff,
+    _checks.quiet(_read),
+    kinds=("raw",),
+    about="Sensor Logger, SensorLog, phyphox: a file, or a folder a device",
+    sign="exports of Sensor Logger, SensorLog and phyphox",
+)

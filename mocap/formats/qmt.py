@@ -240,4 +240,12 @@ def _sniff(path: Path, head: bytes) -> bool:
     return head.startswith(b"MATLAB 5.0")
 
 
-FORMAT = Format("qmt", (".mat",), _sniff, _checks.quiet(_read))
+FORMAT = Format(
+    "qmt",
+    (".mat",),
+    _sniff,
+    _checks.quiet(_read),
+    kinds=("raw",),
+    about="qmt's full-body example",
+    sign="qmt's full-body example (MATLAB 5.0)",
+)

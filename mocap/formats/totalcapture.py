@@ -287,4 +287,12 @@ def _sniff(path: Path, head: bytes) -> bool:
     return len(first) == 2 and all(c.isdigit() for c in first)
 
 
-FORMAT = Format("totalcapture", (".sensors", ".pkl"), _sniff, _checks.quiet(_read))
+FORMAT = Format(
+    "totalcapture",
+    (".sensors", ".pkl"),
+    _sniff,
+    _checks.quiet(_read),
+    kinds=("raw", "recording"),
+    about="TotalCapture's Xsens files, or DIP's pickles of it",
+    sign="TotalCapture",
+)

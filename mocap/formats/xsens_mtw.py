@@ -245,4 +245,12 @@ def _sniff(path: Path, head: bytes) -> bool:
     return _looks(head)
 
 
-FORMAT = Format("xsens_mtw", (*SUFFIXES, ""), _sniff, _checks.quiet(_read))
+FORMAT = Format(
+    "xsens_mtw",
+    (*SUFFIXES, ""),
+    _sniff,
+    _checks.quiet(_read),
+    kinds=("raw",),
+    about="Xsens MT Manager and DOT exports: a file a device, or a folder",
+    sign="Xsens MT Manager exports (tab-separated columns PacketCounter, Acc_X, ...)",
+)

@@ -25,7 +25,7 @@ MAGNETIC_FIELD = np.array([0.0, -40.0, 20.0])  # uT in the y-up world: north is 
 
 @dataclass(frozen=True)
 class Noise:
-    """Sizes of the realistic noise, 1 sigma (design README, "Realistic noise, defined").
+    """Sizes of the realistic noise, 1 sigma.
 
     mounting_deg: rotation of the sensor on its bone, per axis, constant. heading_deg: constant heading
     offset of a sensor's world; heading_walk_deg: its random walk, per square-root second. tissue_deg:

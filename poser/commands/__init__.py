@@ -4,7 +4,7 @@ The module's docstring is the command's description. Heavy imports belong inside
 """
 
 NAMES: tuple[str, ...] = (
-    "quickstart", "demo", "info", "convert", "synthesize", "calibrate", "solve", "track", "evaluate",
-    "compare", "data", "train", "finetune", "view", "render", "live",
+    "quickstart", "demo", "info", "formats", "convert", "synthesize", "calibrate", "solve", "track",
+    "evaluate", "compare", "data", "train", "finetune", "view", "render", "live",
 )  # fmt: skip
 """Commands in the order of `poser --help`."""

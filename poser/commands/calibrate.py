@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +18,7 @@ from poser.console import DONE, UsageError, emit, progress, say
 
 if TYPE_CHECKING:
     from mocap.calibration import Calibration
-    from mocap.findings import Severity
+    from mocap.findings import Finding, Severity
     from mocap.recording import RawRecording, Recording
 
 HELP = "a raw recording to a calibrated one"
@@ -191,11 +192,21 @@ def _print(path: Path, calibration: Calibration, recording: Recording) -> None:
     say(f"{calibration.pose.upper()}-pose at {start:.2f} to {stop:.2f} s")
     say(f"facing: {calibration.method} ({sure})")
     say(f"orientation: {calibration.orientation}")
-    for f in calibration.diagnostics:
-        say(f"{f.severity:<8} {f.sensor or 'body'}: {clause(f)}")
+    for (severity, told), whose in _grouped(calibration.diagnostics, clause).items():
+        say(f"{severity:<8} {whose}: {told}")
     if not calibration.diagnostics:
         say("nothing doubtful")
     say(
         f"{path}: {len(recording)} frames at {recording.rate_hz:g} Hz, "
         f"{len(recording.sensors)} sensors"
     )
+
+
+def _grouped(
+    findings: Sequence[Finding], clause: Callable[[Finding], str]
+) -> dict[tuple[Severity, str], str]:
+    """Severity and sentence -> whom it is about; sensors of which the same is said stand together."""
+    groups: dict[tuple[Severity, str], list[str]] = {}
+    for f in findings:
+        groups.setdefault((f.severity, clause(f)), []).append(f.sensor or "body")
+    return {said: ", ".join(dict.fromkeys(names)) for said, names in groups.items()}

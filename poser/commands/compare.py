@@ -1,10 +1,11 @@
 """Several methods on the same recordings with the same reference: tables, pictures and a report.
 
 Writes results.json, report.html and one motion file a method into the output folder (a folder a recording
-where there are several), and removes those of an earlier comparison. Methods: sop, sip, dip, imuposer,
-imuposer-adam, hybrid-dip (or hybrid), hybrid-imuposer. The reference is the recording's own, a motion file,
-or sip-all: SIP on every sensor that the recording has. A method that a recording does not serve is named with
-the reason, and the others go on.
+where there are several). An earlier comparison is replaced once the new one is whole; what an interrupted one
+has measured by then stays in the folder `unfinished-comparison`. Methods: sop, sip, dip, imuposer,
+imuposer-adam, hybrid-dip (or hybrid), hybrid-imuposer, frame-dip, frame-imuposer. The reference is the
+recording's own, a motion file, or sip-all: SIP on every sensor that the recording has. A method that a
+recording does not serve is named with the reason, and the others go on.
 """
 
 from __future__ import annotations
@@ -64,7 +65,10 @@ def add_arguments(parser: ArgumentParser) -> None:
         metavar="DIR",
         help="a new or empty folder, or that of an earlier comparison, which is replaced",
     )
-    parser.add_argument("--methods", type=_methods, metavar="M,M", help="default: all")
+    parser.add_argument(
+        "--methods", type=_methods, metavar="M,M",
+        help="default: all but frame-dip and frame-imuposer, the hybrid without its window",
+    )  # fmt: skip
     parser.add_argument(
         "--reference", metavar="MOTION|sip-all", help="default: the recording's own reference"
     )
@@ -98,7 +102,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 def run(args: Namespace) -> int:
     if args.cluster and args.jobs > 1:
         raise UsageError("argument --cluster: not with --jobs, the scheduler decides")
-    with files.folder(args.output):
+    with files.folder(args.output, single=True):
         return _compare(args)
 
 
@@ -107,18 +111,19 @@ def _compare(args: Namespace) -> int:
     from poser.report import folder as reporting
     from poser.report import results
 
+    earlier.complete(args.output)
     jobs = _jobs(args)
     where = comparison.check_paths(args.output, [j.name for j in jobs])
     old = earlier.files_in(args.output, where.values())
     written = [folder / f"{n}.npz" for folder in where.values() for n in earlier.MOTIONS]
     _check_inputs(args, [*written, *old])
     earlier.check_own(args.output, old)
+    # Beside an earlier comparison until the new one is whole; without one, where it belongs at once.
+    into = earlier.fresh(args.output) if old else args.output
+    places = comparison.check_paths(into, [j.name for j in jobs])
 
     def keep(compared: Compared) -> None:
-        # Only now: a run of which nothing comes leaves the earlier one as it was.
-        earlier.remove(old, args.output)
-        old.clear()
-        folder = where[compared.name]
+        folder = places[compared.name]
         files.make_folder(folder)
         for name, result in compared.methods.items():
             files.write(folder / f"{name}.npz", result.motion, timed=True)
@@ -138,9 +143,11 @@ def _compare(args: Namespace) -> int:
         record = results.to_json(found)
         record["weights"] = comparison.weights_used(jobs, record["mean"])
         record["motions"] = {c.name: str(where[c.name].relative_to(args.output)) for c in measured}
-        files.write_text(args.output / "results.json", json_text(record) + "\n")
+        files.write_text(into / "results.json", json_text(record) + "\n")
         facts = _facts(args, jobs, found)
-        reporting.write_report(args.output, _title(found), found, record["mean"], facts)
+        reporting.write_report(into, _title(found), found, record["mean"], facts)
+        if into != args.output:
+            earlier.replace(old, into, args.output)
     for sentence in results.failures(found):
         note(sentence)
     if args.json:
@@ -182,7 +189,7 @@ def _jobs(args: Namespace) -> list[Job]:
     jobs: list[Job] = []
     names = _names(args.recordings)
     for path, name in zip(args.recordings, names, strict=True):
-        recording = files.recording(path, gaps=False)
+        recording = files.thinned(path, files.recording(path, gaps=False), then="")
         with files.about(path):
             sensors = options.sensors(args.sensors, recording.sensors) if args.sensors else None
             devices = _named_devices(path, args.devices, recording.sensors)

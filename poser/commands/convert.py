@@ -57,7 +57,7 @@ def run(args: Namespace) -> int:
     from mocap.formats import native
 
     output = _output(args)
-    inputs = [args.input, *([args.reference] if args.reference else [])]
+    inputs = [args.input, *(p for p in (args.reference, args.smpl) if p)]
     files.check_output(output, inputs, (".npz",) if args.reference else SUFFIXES)
     export = _export(args, output.suffix.lower())
     with progress(f"converting {args.input.name}") as tell:

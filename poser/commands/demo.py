@@ -45,7 +45,7 @@ def _seconds(text: str) -> float:
 
 
 def run(args: Namespace) -> int:
-    with files.folder(args.output):
+    with files.folder(args.output, single=True):
         return _demo(args)
 
 

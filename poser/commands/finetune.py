@@ -39,6 +39,11 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def run(args: Namespace) -> int:
     training.check_outputs(args, args.recordings)
+    with training.only_run(args):
+        return _finetune(args)
+
+
+def _finetune(args: Namespace) -> int:
     from learned.training import parallel
     from learned.training.corpus import key_of
     from learned.training.recorded import Recorded

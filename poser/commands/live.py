@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from poser.live.samples import Network, Source
     from poser.live.sinks.protocol import Sink
 
+BUDGET = 0.8  # of the time between two samples: what a frame may take
 HELP = "poses while the person moves, from trackers, phones, suits or a recording"
 METHODS = (*estimators.METHODS, *estimators.HYBRIDS)
 NETWORK_DEFAULTS: dict[str, object] = {
@@ -64,6 +65,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--height", type=options.stature, metavar="M", help="the body's stature in m"
     )
+    options.add_horizon(parser)
     parser.add_argument("--seconds", type=options.positive, metavar="S", help="stop after so long")
     parser.add_argument(
         "--speed", type=_speed, default=1.0, metavar="X",
@@ -128,7 +130,9 @@ def run(args: Namespace) -> int:
     origin = opening.origin(args.source)
     if args.list:
         return _list(args, origin)
+    _check_apart(args)
     network = estimators.network_of(args.method, args.network)
+    tracker = options.horizon(args)
     estimators.check_weights(args.weights, network)
     skeleton = Skeleton.default(args.height)
     source, origin = _source(args, origin, network)
@@ -138,6 +142,7 @@ def run(args: Namespace) -> int:
         estimator = estimators.make(
             args.method, source.rate_hz, source.sensors, network=args.network, weights=args.weights,
             skeleton=skeleton, joint=source.joint, seat=source.seat,
+            tracker=tracker | {"budget_s": BUDGET / source.rate_hz},
         )  # fmt: skip
         source.read(estimator.sensors)
         for text in args.sink:
@@ -153,6 +158,18 @@ def run(args: Namespace) -> int:
         elif begun:
             telling.summary(report)
     return DONE
+
+
+def _check_apart(args: Namespace) -> None:
+    """Raises UsageError where two sinks, or one and --record, would write to one file."""
+    from poser.live import sinks
+
+    paths = [Path(text) for text in args.sink if sinks.chosen(text)[0].suffixes]
+    seen: dict[Path, Path] = {}
+    for path in [*paths, *([args.record] if args.record else [])]:
+        if path.resolve() in seen:
+            raise UsageError(f"{path}: would be written twice; give each sink a file of its own")
+        seen[path.resolve()] = path
 
 
 def _list(args: Namespace, origin: Origin) -> int:

@@ -71,7 +71,7 @@ def run(args: Namespace) -> int:
     method = "imuposer" if origin.kind.name in PHONES else "hybrid"
     sensors = _sensors(args, method)
     _check_map(args, origin, asks)
-    with files.folder(args.output):
+    with files.folder(args.output, single=True):
         _show_places(args.output, sensors)
         words = ["--source", args.source, "--method", method, "--sensors", ",".join(sensors)]
         words += _mapped(args, origin, sensors)

@@ -11,7 +11,10 @@ from poser import files, named_starts, options
 from poser.console import DONE, UsageError, emit, note, progress, say, table
 
 if TYPE_CHECKING:
+    import numpy as np
+
     import sip
+    from mocap.motion import Motion
     from mocap.recording import Recording
     from mocap.skeleton import Skeleton
     from mocap.solution import Solution
@@ -67,6 +70,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         "--plot", type=Path, metavar="PNG", help="residuals of each sensor over time, as a picture"
     )
     options.add_window(parser)
+    options.add_solving_rate(parser)
     options.add_json(parser)
 
 
@@ -83,7 +87,9 @@ def run(args: Namespace) -> int:
     given = [Path(name) for name in names if name not in named_starts.KNOWN]
     for path in given:
         files.check_there(path, "--start", named_starts.KNOWN)
-    files.check_output(args.output, [args.recording, *given], (".npz", ".bvh"))
+    files.check_output(
+        args.output, [args.recording, *given, *([args.smpl] if args.smpl else [])], (".npz", ".bvh")
+    )
     if args.plot:
         files.check_output(args.plot, [args.recording, args.output], (".png",))
     if args.uncertainty and args.output.suffix.lower() == ".bvh":
@@ -91,8 +97,11 @@ def run(args: Namespace) -> int:
     whole = files.recording(args.recording, gaps=False)
     with files.about(args.recording):
         chosen = whole.select(options.sensors(args.sensors, whole.sensors))
-        recording, first = cut_window(chosen, args.begin, args.end)
-    files.note_gaps(args.recording, recording, whole)
+        asked, _ = cut_window(chosen, args.begin, args.end)
+    files.note_gaps(args.recording, asked, whole)
+    whole = files.thinned(args.recording, whole, args.rate)
+    with files.about(args.recording):
+        recording, first = cut_window(whole.select(chosen.sensors), args.begin, args.end)
     body = _body(args)
     settings = _settings(args)
     begin = named_starts.motions(names, args.recording, whole, recording, first, body, settings)
@@ -103,15 +112,12 @@ def run(args: Namespace) -> int:
         if args.start is None and not args.self_calibrate:
             begin[network] = belief.motion(recording.rate_hz, body, recording.start_s)
     solution = _solve(args, recording, body, begin, belief, settings)
-    extra = (
-        None if solution.std_rad is None or not args.uncertainty else {"std_rad": solution.std_rad}
-    )
-    files.write(args.output, solution.motion, extra, timed=True)
+    files.write(args.output, *_given_back(solution, asked, args.uncertainty), timed=True)
     if args.plot:
         from poser.report import pictures
 
         pictures.save(pictures.residuals(solution, recording.sensors), args.plot)
-    report(args, recording, solution)
+    report(args, recording, solution, asked)
     return DONE
 
 
@@ -144,6 +150,19 @@ def _solve(
     return replace(solution, motion=on_the_floor(solution.motion))
 
 
+def _given_back(
+    solution: Solution, recording: Recording, uncertainty: bool
+) -> tuple[Motion, dict[str, np.ndarray] | None]:
+    """The motion at every frame of `recording`, and its deviations where they were asked for."""
+    from mocap import thinning
+
+    motion = thinning.given_back(solution.motion, recording)
+    if solution.std_rad is None or not uncertainty:
+        return motion, None
+    std = thinning.deviations_given_back(solution.std_rad, solution.motion, recording)
+    return motion, {"std_rad": std}
+
+
 def _body(args: Namespace) -> Skeleton:
     from mocap.skeleton import Skeleton
 
@@ -159,8 +178,9 @@ def cut_window(
     if begin is None and end is None:
         return recording, 0
     rate, origin = recording.rate_hz, recording.start_s
-    a = 0 if begin is None else max(0, round((begin - origin) * rate))
-    b = len(recording) if end is None else min(len(recording), round((end - origin) * rate))
+    # A number that is too large for a frame's is one before or behind all of them.
+    a = 0 if begin is None else round(min(max((begin - origin) * rate, 0), len(recording)))
+    b = len(recording) if end is None else round(min(max((end - origin) * rate, 0), len(recording)))
     if b - a < 1:
         since = "" if begin is None else f" from {begin:g} s"
         until = "" if end is None else f" to {end:g} s"
@@ -190,15 +210,17 @@ def record(solution: Solution) -> dict[str, Any]:
     return out
 
 
-def report(args: Namespace, recording: Recording, solution: Solution) -> None:
-    """The answer: JSON, or a table of the terms and a sentence."""
+def report(args: Namespace, recording: Recording, solution: Solution, asked: Recording) -> None:
+    """The answer: JSON, or a table of the terms and a sentence. asked: whose frames were written."""
     if args.json:
         extra = {
             "terms": args.terms,
             "solver": args.solver,
             "start": args.start,
             "used_sensors": list(recording.sensors),
-            "rate_hz": recording.rate_hz,
+            "frames": len(asked),
+            "rate_hz": asked.rate_hz,
+            "estimated_hz": recording.rate_hz,
             "motion": str(args.output),
         }
         emit(record(solution) | extra)
@@ -222,7 +244,7 @@ def report(args: Namespace, recording: Recording, solution: Solution) -> None:
     if blind > 0.5:
         note(f"{100 * blind:.0f} % of the frames have no sensor at all: the prior alone makes them")
     say(
-        f"{args.output}: {len(solution.motion)} frames from {seen} sensors in "
+        f"{args.output}: {len(asked)} frames from {seen} sensors in "
         f"{solution.seconds:.1f} s, {solution.iterations} iterations: {solution.status}"
     )
     tried = solution.report["starts"]

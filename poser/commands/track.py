@@ -1,16 +1,16 @@
 """Poses of a calibrated recording by an online method, sample by sample as it would run live.
 
 Methods: dip (six sensors), imuposer (one to three of wrists, pockets, head at a time; which ones may change
-while it runs), imuposer-adam (with ten steps of refinement), hybrid (a network refined by a small
-optimisation each frame). The motion has exactly the recording's frames, aligned in time whatever the method's
-look-ahead.
+while it runs), imuposer-adam (with ten steps of refinement), hybrid (a network inside a moving window of the
+offline optimizer's cost). The motion has exactly the recording's frames, aligned in time whatever the
+method's look-ahead.
 """
 
 from __future__ import annotations
 
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from learned.registry import specification
 from mocap.errors import PoserError
@@ -56,16 +56,20 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--uncertainty", action="store_true", help="store std_rad (T,24,3) with the motion"
     )
+    options.add_horizon(parser)
     options.add_window(parser)
+    options.add_solving_rate(parser)
     options.add_json(parser)
 
 
 def run(args: Namespace) -> int:
+    from mocap import thinning
     from poser.commands.solve import cut_window
 
     if args.network and args.method not in ("hybrid", args.network):
         raise UsageError("argument --network: it is the hybrid's; the other methods name theirs")
     network = estimators.network_of(args.method, args.network)
+    tracker = options.horizon(args)
     try:
         estimators.check_window(network, args.window)
     except PoserError as e:
@@ -83,7 +87,10 @@ def run(args: Namespace) -> int:
         recording = _chosen(recording, network, args.recording, named, free=args.sensors is None)
     files.note_gaps(args.recording, recording, whole)
     files.note_no_acc(args.recording, recording)
-    tracked = _tracked(args, recording, network)
+    asked = recording
+    if args.rate or args.method == "hybrid":  # a network takes what it needs of a faster one itself
+        recording = files.thinned(args.recording, recording, args.rate)
+    tracked = _tracked(args, recording, network, tracker)
     if len(recording) <= tracked.look_ahead_frames:
         note(
             f"{args.recording}: has {len(recording)} frames, and {args.method} looks "
@@ -92,9 +99,10 @@ def run(args: Namespace) -> int:
     std = tracked.run.std_rad if args.uncertainty else None
     if args.uncertainty and std is None:
         note(f"{args.output}: {args.method} states no uncertainty")
-    extra = None if std is None else {"std_rad": std}
-    files.write(args.output, tracked.run.motion, extra, timed=True)
-    _report(args, tracked)
+    found = tracked.run.motion
+    extra = None if std is None else {"std_rad": thinning.deviations_given_back(std, found, asked)}
+    files.write(args.output, thinning.given_back(found, asked), extra, timed=True)
+    _report(args, tracked, asked)
     return DONE
 
 
@@ -124,30 +132,34 @@ def _chosen(
     return recording.select(tuple(found.values()))
 
 
-def _tracked(args: Namespace, recording: Recording, network: str) -> Tracked:
+def _tracked(
+    args: Namespace, recording: Recording, network: str, tracker: dict[str, Any]
+) -> Tracked:
     from mocap.skeleton import Skeleton
     from poser import tracking
 
     with progress(args.method) as tell, files.about(args.recording):
         return tracking.track(
             recording, args.method, network, weights=args.weights, window=args.window,
-            skeleton=Skeleton.default(args.height),
+            skeleton=Skeleton.default(args.height), tracker=tracker,
             progress=lambda share, words: tell(share, f"{words} {args.recording.name}"),
         )  # fmt: skip
 
 
-def _report(args: Namespace, tracked: Tracked) -> None:
-    """The answer: JSON, or a few sentences."""
-    record = tracked.record() | {"motion": str(args.output)}
+def _report(args: Namespace, tracked: Tracked, asked: Recording) -> None:
+    """The answer: JSON, or a few sentences. asked: the recording whose frames were written."""
+    rate = tracked.run.motion.rate_hz
+    written = {"frames": len(asked), "rate_hz": asked.rate_hz, "estimated_hz": rate}
+    record = tracked.record() | written | {"motion": str(args.output)}
     if args.json:
         emit(record)
         return
     for text, count in record["notes"].items():
         say(f"fallback: {text}: {count}")
-    rate, network_hz = record["rate_hz"], tracked.network_hz
+    network_hz = tracked.network_hz
     other = "" if abs(rate / network_hz - 1) < 1e-6 else f"; the network runs at {network_hz:g} Hz"
     say(
         f"{args.output}: {record['frames']} frames by {args.method} from {len(tracked.sensors)} "
         f"sensors; {record['frame_ms_p50']:.1f} ms per sample at {rate:g} Hz "
-        f"(99 %: {record['frame_ms_p99']:.1f}{other}), {tracked.look_ahead_frames} frames of look-ahead"
+        f"(99 %: {record['frame_ms_p99']:.1f}{other}), {tracked.look_ahead_frames} frames late"
     )

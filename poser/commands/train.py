@@ -76,6 +76,11 @@ def add_arguments(parser: ArgumentParser) -> None:
 def run(args: Namespace) -> int:
     settings = _settings(args)
     training.check_outputs(args, [*args.motions, *args.validation])
+    with training.only_run(args):
+        return _train(args, settings)
+
+
+def _train(args: Namespace, settings: TrainSettings) -> int:
     from learned import checkpoint
     from learned.training import parallel
     from learned.training.trainer import Trainer

@@ -21,7 +21,7 @@ from mocap.calibration import Calibration, PoseName, calibrate
 from mocap.calibration.static_pose import Window, average
 from mocap.errors import CalibrationError, FormatError
 from mocap.estimator import Sample
-from mocap.formats._files import check_regular
+from mocap.formats._files import check_regular, read_text
 from mocap.orientation import Array
 from mocap.recording import RawRecording
 from poser import files
@@ -57,7 +57,7 @@ def read(path: Path) -> Calibration:
     check_regular(path)
     try:
         if path.suffix.lower() == ".json":
-            return Calibration.from_json(path.read_text(encoding="utf-8"))
+            return Calibration.from_json(read_text(path))
         recording = files.recording(path)
         if recording.calibration is None:
             raise FormatError(path, "holds no calibration; poser calibrate writes one")

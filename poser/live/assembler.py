@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from bisect import bisect_right, insort
 from dataclasses import asdict, dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +48,8 @@ class Counts:
 
     received: all that were well formed. duplicates, clock (device time doubtful): not used. late: after
     the row they were for. reordered: not in order, but in time. lost: missing packet numbers. jumps:
-    changes of the device's clock. silent_rows: rows in which the device is invalid.
+    changes of the device's clock. silent_rows: rows in which the device is invalid. others: of another sender
+    that gives itself this name, not used; among them no other count is taken.
     """
 
     received: int = 0
@@ -58,6 +60,7 @@ class Counts:
     jumps: int = 0
     lost: int = 0
     silent_rows: int = 0
+    others: int = 0
 
     def to_dict(self) -> dict[str, int]:
         return asdict(self)
@@ -77,10 +80,38 @@ def _time(kept: _Kept) -> float:
     return kept.time_s
 
 
+class _Sender:
+    """Whose packets are a device's: the first who gives himself its name, until nothing of his is heard.
+
+    A sender that opens a socket for each packet comes from another port each time: one that has sent a single
+    packet is followed to any port of its machine.
+    """
+
+    def __init__(self) -> None:
+        self._address: tuple[str, int] | None = None
+        self._sent = 0
+
+    def is_heard(
+        self, address: tuple[str, int] | None, silent: bool
+    ) -> Literal["him", "new", "other"]:
+        """Whether a packet from an address is his. silent: nothing of his was heard for long."""
+        if address == self._address:
+            self._sent += 1
+            return "him"
+        if address is None or self._address is None or silent:
+            self._address, self._sent = address, 1
+            return "new"
+        if self._sent == 1 and address[0] == self._address[0]:
+            self._address = address
+            return "him"
+        return "other"
+
+
 class _Stream:
     """The recent packets of one device."""
 
     def __init__(self) -> None:
+        self.sender = _Sender()
         self.clock = DeviceClock()
         self.numbers = PacketNumbers()
         self.kept: list[_Kept] = []
@@ -92,6 +123,15 @@ class _Stream:
     ) -> None:
         assert packet.R_world_sensor is not None and packet.acc_world is not None
         counts = self.counts
+        heard = self.sender.is_heard(packet.sender, arrival_s - self.heard_s > SILENT_S)
+        if heard == "other":
+            counts.others += 1
+            return
+        if heard == "new":
+            # His clock and his numbers are his own.
+            self.clock, lost = DeviceClock(), self.numbers.lost
+            self.numbers = PacketNumbers(lost)
+            self.kept.clear()
         counts.received += 1
         # Of a packet whose time is refused, forged or wrong, nothing may stay: else its number would pass for
         # heard, and the real one that has it for its double.

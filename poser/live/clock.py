@@ -75,20 +75,20 @@ class DeviceClock:
 class PacketNumbers:
     """Counts what is lost, doubled and reordered by the packets' numbers modulo 65536 (as RFC 3550).
 
-    lost: numbers never heard so far.
+    lost: numbers never heard so far; it counts on from where it is told to.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, lost: int = 0) -> None:
         self._base = self._highest = 0
         self._heard = 0
         self._recent: set[int] = set()
         self._order: deque[int] = deque(maxlen=2 * MAX_MISORDER)
-        self._lost_before = 0
+        self._lost_before = lost
 
     @property
     def lost(self) -> int:
         if not self._heard:
-            return 0
+            return self._lost_before
         return self._lost_before + self._highest - self._base + 1 - self._heard
 
     def hear(self, seq: int) -> tuple[int, Literal["next", "reordered", "duplicate"]]:

@@ -6,18 +6,20 @@ import signal
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from mocap.estimator import Estimator, Pose, Sample
+from mocap.estimator import Estimator, Pose, Sample, facts
 from mocap.skeleton import TOES, Skeleton
 from poser.live.latency import Latency
 from poser.live.samples import Source
 from poser.live.sinks.protocol import Sink
+
+_ENDING = (signal.SIGINT, signal.SIGTERM, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else []))
 
 
 @dataclass
@@ -26,6 +28,7 @@ class Report:
 
     samples, frames: fed and delivered. fallbacks: poses that were one, notes: why, counted. behind_s: how
     much later than the source's pace the last sample was taken, most_behind_s: the largest of these.
+    estimator: what it tells of itself (`mocap.estimator.facts`).
     """
 
     samples: int = 0
@@ -38,6 +41,7 @@ class Report:
     most_behind_s: float = 0.0
     source: dict[str, Any] = field(default_factory=dict)
     sinks: dict[str, Any] = field(default_factory=dict)
+    estimator: Mapping[str, Any] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
         return {
@@ -48,6 +52,7 @@ class Report:
             **self.lag.to_dict("latency_ms"),
             **self.step.to_dict("frame_ms"),
             "behind_s": self.most_behind_s,
+            **self.estimator,
             **self.source,
             "sinks": self.sinks,
         }
@@ -91,6 +96,7 @@ def run(
             lag = source.lag_s(pose.time_s)
             if lag is not None:
                 report.lag.add(lag)
+        report.estimator = facts(estimator, state)
         tell(report)
     if sample is None:
         return
@@ -146,12 +152,13 @@ def close(source: Source, sinks: Sequence[Sink], report: Report) -> None:
 
 @contextmanager
 def _undisturbed() -> Iterator[None]:
-    """A second Ctrl-C must not lose the file that the first one asked to finish."""
+    """A second Ctrl-C, or a signal that asks to end, must not lose the file that the first one began."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    before = {number: signal.signal(number, signal.SIG_IGN) for number in _ENDING}
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -61,7 +61,8 @@ class Packet:
     """One checked message.
 
     time_s: the device's clock. R_world_sensor (3,3), acc_world (3,) m/s^2 without gravity, NaN where it
-    was not sent; both None in a message that carries a status alone. seq: 0 to 65535, or None.
+    was not sent; both None in a message that carries a status alone. seq: 0 to 65535, or None. sender: the
+    address that it came from, None where the intake tells senders apart itself.
     """
 
     device: str
@@ -70,6 +71,7 @@ class Packet:
     acc_world: Array | None
     seq: int | None = None
     status: Status | None = None
+    sender: tuple[str, int] | None = None
 
 
 def from_json(datagram: bytes) -> Iterator[Packet | Rejected]:

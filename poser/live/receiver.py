@@ -100,7 +100,7 @@ class Receiver:
                 if isinstance(found, Rejected):
                     self.rejected[found.reason] += 1
                 else:
-                    yield found, arrival, self._empty_s
+                    yield replace(found, sender=sender[:2]), arrival, self._empty_s
             if self._clock() >= until_s:
                 return
 

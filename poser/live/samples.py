@@ -248,6 +248,11 @@ class Network:
         """The first MOST_UNKNOWN names of devices that are none of ours."""
         return tuple(self._unknown)
 
+    @property
+    def doubled(self) -> tuple[str, ...]:
+        """Devices whose name another sender gives itself, too."""
+        return tuple(n for n, c in self._assembler.counts.items() if c.others)
+
     def lag_s(self, time_s: float) -> float | None:
         start = self._assembler.start_s
         return None if start is None else self._clock() - start - time_s

@@ -7,7 +7,7 @@ import re
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 from poser.console import complain, say, table
 from poser.live.loop import Report
@@ -17,6 +17,7 @@ from poser.live.sinks.protocol import Sink
 STATUS_S = 1.0
 RECENT = 300  # poses that the line's latency is of
 PATIENCE_S = 5.0  # for sensors that nothing comes from, before a sentence says so
+TURNED_DEG = 2.0  # a heading that is taken out and shown
 BEHIND_S = 0.2  # a loop that is later than this has fallen behind; a slow frame is caught up sooner
 
 
@@ -44,6 +45,7 @@ class Teller:
         self._asked_missing = self._asked_unknown = not isinstance(source, Network)
         self._led: str | None = None
         self._checked = False
+        self._doubled: set[str] = set()
 
     def tell(self, report: Report) -> None:
         now = self._clock()
@@ -53,6 +55,7 @@ class Teller:
         if isinstance(self._source, Network):
             self._lead(self._source)
             self._check(self._source)
+            self._double(self._source)
             if now - self._began >= PATIENCE_S:
                 self._ask(self._source)
         if not (self._terminal or self._listeners):
@@ -76,6 +79,15 @@ class Teller:
         for finding in found.diagnostics:
             if finding.severity != "info":
                 self._complain(f"{finding.severity}: {words.sentence(finding)}")
+
+    def _double(self, source: Network) -> None:
+        """Which names two senders give themselves, each once."""
+        for name in source.doubled:
+            if name not in self._doubled:
+                self._doubled.add(name)
+                self._complain(
+                    f"a second sender calls itself {name}: the first one is heard, until it falls silent"
+                )
 
     def _lead(self, source: Network) -> None:
         """Where no line counts the seconds down: a sentence for each thing that the wearer is to do, behind
@@ -143,8 +155,20 @@ def status(report: Report, source: Source) -> str:
         words.append(f"silent: {', '.join(facts['silent'])}")
     if facts.get("places"):
         words.append(", ".join(f"{d}: {p}" for d, p in facts["places"].items()))
+    words += _window(report.estimator)
     lost = sum(d["lost"] for d in facts.get("devices", {}).values())
     return ", ".join(words + ([f"{lost} packets lost"] if lost else []))
+
+
+def _window(told: Mapping[str, Any]) -> list[str]:
+    """What the hybrid's window says of itself: that it is short, and which headings have drifted."""
+    words = []
+    if told.get("window_frames", 0) < told.get("window_frames_most", 0):
+        words.append(f"window of {told['window_frames']} of {told['window_frames_most']} frames")
+    turned = {n: d for n, d in told.get("heading_deg", {}).items() if abs(d) >= TURNED_DEG}
+    if turned:
+        words.append("turned back: " + ", ".join(f"{n} by {d:+.0f} deg" for n, d in turned.items()))
+    return words
 
 
 def _waiting(source: Network) -> str:

@@ -17,6 +17,7 @@ from mocap.motion import Motion
 from mocap.orientation import Array
 from mocap.skeleton import JOINTS, PARENTS
 from mocap.solution import Solution
+from poser.report.placing import beside
 from poser.report.results import COLOURS, MIDDLE, NAMES, NO_SKILL, Compared, joint_colour
 
 YAW, TILT = np.deg2rad(-35.0), np.deg2rad(12.0)  # the camera: to the body's left, a little above
@@ -36,7 +37,7 @@ def save(figure: Figure, path: Path) -> None:
 def skeletons(motions: Mapping[str, Motion], times: Sequence[float]) -> Figure:
     """One row a motion, one column a time (s); the first motion is drawn in grey behind the others.
 
-    Pelvises are put where the first motion's is, rotations untouched; the square is the floor y = 0.
+    They stand where the first motion does (`beside`); the square is the floor y = 0.
     """
     names = list(motions)
     truth = motions[names[0]]
@@ -51,8 +52,7 @@ def skeletons(motions: Mapping[str, Motion], times: Sequence[float]) -> Figure:
             _floor(axis)
             if r:
                 _bones(axis, true, ghost=True)
-                p = motions[name].p_world_joint[t]
-                _bones(axis, p - p[0] + true[0])
+                _bones(axis, beside(motions[name].p_world_joint[t], true))
             else:
                 _bones(axis, true)
             _frame(axis)
@@ -62,18 +62,20 @@ def skeletons(motions: Mapping[str, Motion], times: Sequence[float]) -> Figure:
             -0.06, 0.5, NAMES.get(name, name), transform=axes[r, 0].transAxes, rotation=90,
             ha="center", va="center", fontsize=11,
         )  # fmt: skip
+    width, height = figure.get_size_inches()
     figure.text(
-        0.5, 0.012, "blue: left, orange: right, light grey: the reference; pelvis positions aligned",
+        0.5, 0.1 / height,
+        "blue: left, orange: right, light grey: the reference; pelvis above pelvis, on one floor",
         ha="center", fontsize=9,
     )  # fmt: skip
-    figure.subplots_adjust(0.035, 0.05, 0.99, 0.95, 0.02, 0.03)
+    figure.subplots_adjust(0.4 / width, 0.35 / height, 0.99, 1 - 0.3 / height, 0.02, 0.03)
     return figure
 
 
 def pairs(rows: Sequence[tuple[str, Sequence[tuple[str, Array, Array]]]]) -> Figure:
     """Single frames: one row a method, each cell a title, the true joints (24,3) m in grey, the method's.
 
-    Pelvises are put on each other; rotations are untouched.
+    They stand on one place (`beside`).
     """
     columns = max(len(cells) for _, cells in rows)
     height = PAIR_IN * len(rows)
@@ -89,7 +91,7 @@ def pairs(rows: Sequence[tuple[str, Sequence[tuple[str, Array, Array]]]]) -> Fig
             true = true - true[0] * [1, 0, 1]
             _floor(axis)
             _bones(axis, true, ghost=True)
-            _bones(axis, p - p[0] + true[0])
+            _bones(axis, beside(p, true))
             axis.set_title(title, fontsize=8, pad=2)
         axes[r, 0].text(
             -0.06, 0.5, label, transform=axes[r, 0].transAxes, rotation=90, ha="center", va="center",

@@ -12,12 +12,14 @@ from mocap.motion import Motion
 SCHEMA = "poser-compare/1"
 NAMES = {
     "sop": "SOP", "sip": "SIP", "dip": "DIP", "imuposer": "IMUPoser", "imuposer-adam": "IMUPoser + Adam",
-    "hybrid-dip": "hybrid (DIP)", "hybrid-imuposer": "hybrid (IMUPoser)", "mean-pose": "mean pose",
+    "hybrid-dip": "hybrid (DIP)", "hybrid-imuposer": "hybrid (IMUPoser)",
+    "frame-dip": "single frame (DIP)", "frame-imuposer": "single frame (IMUPoser)", "mean-pose": "mean pose",
     "nearest-pose": "nearest pose",
 }  # fmt: skip
 COLOURS = {
     "sip": "#1b7837", "sop": "#762a83", "dip": "#2166ac", "imuposer": "#b35806",
     "imuposer-adam": "#e08214", "hybrid-dip": "#053061", "hybrid-imuposer": "#7f3b08",
+    "frame-dip": "#67a9cf", "frame-imuposer": "#fdb863",
     "mean-pose": "#bbbbbb", "nearest-pose": "#888888",
 }  # fmt: skip
 LEFT, RIGHT, MIDDLE = "#1f77b4", "#d95f02", "#444444"

@@ -17,6 +17,7 @@ from mocap.errors import PoserError
 from mocap.orientation import Array
 from mocap.skeleton import Skeleton
 from poser.live.addresses import LAST_PORT, Address, resolved
+from poser.viewer.guard import guarded
 
 COLOURS = (
     (62, 126, 196),
@@ -42,9 +43,18 @@ def server(host: str, port: int) -> Any:
     except ImportError as e:
         raise PoserError("the viewer needs the package 'viser': pip install viser") from e
     numeric, free = _free(host, port)
-    with _mute():
-        made = viser.ViserServer(host=numeric, port=free, label="poser", verbose=False)
-    # Its share button would send the scene to a relay on the internet.
+
+    class Server(viser.ViserServer):  # type: ignore[misc]
+        """Its share request, which any client may send, would send the scene to a relay on the internet."""
+
+        def request_share_url(self, verbose: bool = True) -> str | None:
+            return None
+
+        def disconnect_share_url(self) -> None:
+            return
+
+    with _mute(), guarded(host, f"viser-v{viser.__version__}"):
+        made = Server(host=numeric, port=free, label="poser", verbose=False)
     made.gui.configure_theme(show_logo=False, show_share_button=False)
     made.scene.set_up_direction("+y")
     return made

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
-from hybrid import Tracker
+from hybrid import Tracker, TrackerSettings
 from mocap import Motion, Recording
 from mocap import orientation as ori
 from mocap import sensors as places
@@ -87,10 +89,16 @@ def motion_of(poses: list[Pose], like: Motion) -> Motion:
     return Motion(like.rate_hz, R, np.stack([p.p_world_root for p in poses]), like.skeleton)
 
 
+def single(**changes: Any) -> TrackerSettings:
+    """Of the single frame's QP alone, with these changes."""
+    return TrackerSettings(horizon_s=0.0, **changes)
+
+
 def tracked(network: FakeNetwork, recording: Recording, **kwargs: object) -> tuple[Motion, Motion]:
-    """The network's own motion and the tracker's, over one recording."""
+    """The network's own motion and the tracker's, the single frame's where no settings say more, over one
+    recording."""
     like = recording.reference
     assert like is not None
     alone, _ = run(network, recording)
-    refined, _ = run(Tracker(network, **kwargs), recording)  # type: ignore[arg-type]
+    refined, _ = run(Tracker(network, **{"settings": single(), **kwargs}), recording)  # type: ignore[arg-type]
     return motion_of(alone, like), motion_of(refined, like)

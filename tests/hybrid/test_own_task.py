@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hybrid import Tracker, TrackerSettings, TrackerState, rotations, tasks
+from hybrid import Tracker, TrackerState, rotations, tasks
 from hybrid.tasks import Evidence, Frame, Task, Term
 from mocap import Motion, Recording, synthesis
 from mocap import sensors as places
 from mocap.estimator import samples
 from mocap.synthesis import motions
-from tests.hybrid.fake import FakeNetwork, motion_of, run
+from tests.hybrid.fake import FakeNetwork, motion_of, run, single
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +56,7 @@ def test_a_task_of_ones_own_is_added_to_the_standard_ones(
     truth: Motion, recording: Recording
 ) -> None:
     """Without the head's sensor in the cost nothing else knows that the head is level."""
-    settings = TrackerSettings(step_sigma_deg=200.0)
+    settings = single(step_sigma_deg=200.0)
     bare = [t for t in tasks.standard(settings) if not isinstance(t, tasks.Orientation)]
     without, with_it = (
         motion_of(run(Tracker(nodding(truth), settings, tasks=found), recording)[0], truth)
@@ -67,7 +67,7 @@ def test_a_task_of_ones_own_is_added_to_the_standard_ones(
 
 
 def test_the_standard_tasks_are_those_of_no_list(truth: Motion, recording: Recording) -> None:
-    settings = TrackerSettings(positions=True)
+    settings = single(positions=True)
     plain, listed = (
         run(Tracker(nodding(truth), settings, tasks=found), recording)[0]
         for found in (None, tasks.standard(settings))
@@ -91,7 +91,7 @@ class Counting(Task):
 
 
 def test_a_tasks_state_is_handed_on_and_can_be_resumed(truth: Motion, recording: Recording) -> None:
-    tracker = Tracker(nodding(truth), tasks=[*tasks.standard(), Counting()])
+    tracker = Tracker(nodding(truth), single(), tasks=[*tasks.standard(), Counting()])
     state = tracker.init()
     for k, sample in enumerate(samples(recording)):
         if k == 7:
@@ -121,7 +121,7 @@ def test_a_task_that_fails_gives_the_networks_pose_and_its_name(
             return state, {}
 
     network = FakeNetwork(truth, None, places.FIVE, 0)
-    settings = TrackerSettings(network_memory_s=0)
+    settings = single(network_memory_s=0)
     poses, state = run(Tracker(network, settings, tasks=[*tasks.standard(), Broken()]), recording)
     alone = run(network, recording)[0]
     for a, b in zip(poses, alone, strict=True):
@@ -132,7 +132,7 @@ def test_a_task_that_fails_gives_the_networks_pose_and_its_name(
 
 def test_without_any_task_the_pose_is_the_networks(truth: Motion, recording: Recording) -> None:
     network = FakeNetwork(truth, None, places.FIVE, 0)
-    poses, _ = run(Tracker(network, TrackerSettings(network_memory_s=0), tasks=[]), recording)
+    poses, _ = run(Tracker(network, single(network_memory_s=0), tasks=[]), recording)
     alone = run(network, recording)[0]
     for a, b in zip(poses, alone, strict=True):
         assert np.allclose(a.R_parent_joint, b.R_parent_joint, atol=1e-9)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hybrid import Tracker, TrackerSettings
+from hybrid import Tracker
 from hybrid.network_errors import NetworkErrors
 from hybrid.refinement import Refinement, smoothed
 from mocap import orientation as ori
@@ -16,7 +16,7 @@ from mocap.evaluation import metrics
 from mocap.motion import Motion
 from mocap.skeleton import Skeleton
 from mocap.synthesis import motions
-from tests.hybrid.fake import FakeNetwork, motion_of, run, tracked
+from tests.hybrid.fake import FakeNetwork, motion_of, run, single, tracked
 
 
 def test_smoothing_follows_a_constant_rate_without_lag_and_takes_off_tremble() -> None:
@@ -87,7 +87,7 @@ def test_the_covariance_of_the_networks_errors_brings_the_pose_nearer() -> None:
 
 
 def test_a_diagonal_covariance_is_the_deviations() -> None:
-    settings = TrackerSettings(network_floor_deg=1e-6)
+    settings = single(network_floor_deg=1e-6)
     errors = NetworkErrors(settings, (1, 4, 16, 18))
     std = np.deg2rad(np.random.default_rng(2).uniform(3, 20, size=(24, 3)))
     R, p = np.tile(np.eye(3), (24, 1, 1)), np.zeros(3)
@@ -110,7 +110,7 @@ def test_a_covariance_that_is_none_is_not_used(bad: object) -> None:
             return state, None if pose is None else replace(pose, covariance=bad)
 
     plain, odd = (
-        motion_of(run(Tracker(kind(truth, None, places.SIX, 0)), recording)[0], truth)
+        motion_of(run(Tracker(kind(truth, None, places.SIX, 0), single()), recording)[0], truth)
         for kind in (FakeNetwork, Odd)
     )
     assert isinstance(odd, Motion)
@@ -121,7 +121,7 @@ def test_a_covariance_that_is_none_is_not_used(bad: object) -> None:
 def test_stated_deviations_are_those_of_the_errors(sensors: tuple[str, ...]) -> None:
     """Network errors from a covariance, sensor errors of the stated sigma, held until the QP is at rest."""
     rng, skeleton, dt = np.random.default_rng(4), Skeleton.default(), 1 / 60
-    settings = TrackerSettings(
+    settings = single(
         orientation_sigma_deg=6.0, network_floor_deg=1e-3, network_memory_s=0, step_sigma_deg=60.0,
         rate_limit_deg_s=1e6,
     )  # fmt: skip

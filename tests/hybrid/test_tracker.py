@@ -21,7 +21,7 @@ from mocap.errors import SensorError
 from mocap.estimator import Pose, Sample, samples
 from mocap.evaluation import metrics
 from mocap.synthesis import motions
-from tests.hybrid.fake import FakeNetwork, run, smooth_errors, tracked
+from tests.hybrid.fake import FakeNetwork, run, single, smooth_errors, tracked
 
 RATE_HZ = 30.0
 
@@ -47,7 +47,7 @@ def test_nothing_moves_where_measurement_and_network_agree(
     truth: Motion, names: tuple[str, ...]
 ) -> None:
     recording = synthesis.recording(truth, names)
-    plain = TrackerSettings(network_memory_s=0)
+    plain = single(network_memory_s=0)
     alone, refined = tracked(FakeNetwork(truth, names=names), recording, settings=plain)
     moved = np.rad2deg(ori.angle_between(alone.R_parent_joint, refined.R_parent_joint))
     assert moved.max() < 0.5
@@ -71,7 +71,7 @@ def test_the_refined_pose_is_closer_to_the_truth(truth: Motion, names: tuple[str
 
 
 def test_with_a_pelvis_sensor_the_root_is_what_it_measures(truth: Motion, noisy: Recording) -> None:
-    poses, _ = run(Tracker(erring(truth)), noisy)
+    poses, _ = run(Tracker(erring(truth), single()), noisy)
     pelvis = noisy.sensors.index("pelvis")
     seen = noisy.valid[:, pelvis]
     R = np.stack([p.R_parent_joint[0] for p in poses])
@@ -98,13 +98,13 @@ def test_accelerations_reach_the_pose(truth: Motion) -> None:
         )
         return float(100 * np.linalg.norm(off[30:, 20], axis=-1).mean())
 
-    without = wrist_cm(TrackerSettings(positions=False))
-    assert wrist_cm(TrackerSettings(positions=True, filter_noise=calm)) < 0.9 * without
+    without = wrist_cm(single(positions=False))
+    assert wrist_cm(single(positions=True, filter_noise=calm)) < 0.9 * without
 
 
 def test_time_frames_and_uncertainty_of_the_poses(truth: Motion, noisy: Recording) -> None:
     network = erring(truth)
-    poses, state = run(Tracker(network), noisy)
+    poses, state = run(Tracker(network, single()), noisy)
     assert len(poses) == len(noisy)
     assert np.allclose([p.time_s for p in poses], [s.time_s for s in samples(noisy)])
     deviation = np.stack([p.std_rad for p in poses if not p.note and p.std_rad is not None])
@@ -120,14 +120,14 @@ def test_time_frames_and_uncertainty_of_the_poses(truth: Motion, noisy: Recordin
 
 def test_resumed_from_pickled_states_equals_uninterrupted(truth: Motion, noisy: Recording) -> None:
     network = erring(truth)
-    whole, _ = run(Tracker(network), noisy)
-    state, poses = Tracker(network).init(), []
+    whole, _ = run(Tracker(network, single()), noisy)
+    state, poses = Tracker(network, single()).init(), []
     for k, sample in enumerate(samples(noisy)):
         if k % 40 == 7:
             state = pickle.loads(pickle.dumps(state))
-            estimator = Tracker(network)
+            estimator = Tracker(network, single())
         elif k == 0:
-            estimator = Tracker(network)
+            estimator = Tracker(network, single())
         before = pickle.dumps(state) if k < 10 else None
         after, pose = estimator.step(state, sample)
         # A step leaves the state it was given alone.
@@ -143,7 +143,7 @@ def test_resumed_from_pickled_states_equals_uninterrupted(truth: Motion, noisy: 
 
 def test_one_tracker_may_serve_two_people(truth: Motion, noisy: Recording) -> None:
     other = synthesis.recording(truth, places.SIX, synthesis.Noise(), 9)
-    estimator = Tracker(erring(truth))
+    estimator = Tracker(erring(truth), single())
     alone = [run(estimator, r)[0] for r in (noisy, other)]
     states = [estimator.init(), estimator.init()]
     for k, pair in enumerate(zip(samples(noisy), samples(other), strict=True)):
@@ -266,7 +266,9 @@ def test_hostile_input_always_gives_a_pose(
     motion = truth.slice(0, 75)
     recording = synthesis.recording(motion, names, synthesis.Noise(), seed)
     kind = FakeNetwork if reliable else Unreliable
-    estimator = Tracker(kind(motion, smooth_errors(75, RATE_HZ, 10.0, seed), names, 3, 10.0))
+    estimator = Tracker(
+        kind(motion, smooth_errors(75, RATE_HZ, 10.0, seed), names, 3, 10.0), single()
+    )
     rng = np.random.default_rng(seed)
     state, given_poses, noted = estimator.init(), 0, 0
     for k, sample in enumerate(samples(recording)):
@@ -300,7 +302,7 @@ def test_each_kind_of_trouble_is_named_and_counted(truth: Motion) -> None:
     rows[40:] = [replace(s, time_s=s.time_s + 9) for s in rows[40:]]
     rows[60:] = [replace(s, time_s=s.time_s - 20) for s in rows[60:]]
     rows[80] = replace(rows[80], R_world_bone=np.zeros((6, 3, 3)))
-    poses, state = feed(Tracker(no_delay), rows)
+    poses, state = feed(Tracker(no_delay, single()), rows)
     notes = {k: p.note for k, p in enumerate(poses) if p is not None and p.note}
     assert notes == {
         20: NO_MEASUREMENT,
@@ -321,7 +323,9 @@ def test_a_network_that_fails_is_started_again_and_the_last_pose_is_kept(truth: 
             return super().step(state, sample)
 
     recording = synthesis.recording(truth, places.SIX)
-    poses, state = feed(Tracker(Fails(truth, None, places.SIX, 2)), list(samples(recording)))
+    poses, state = feed(
+        Tracker(Fails(truth, None, places.SIX, 2), single()), list(samples(recording))
+    )
     held = [check(p) for p in poses[10:16]]
     assert [p.note for p in held[:4]] == [tracker.NETWORK_FAILED] * 4
     assert [p.note for p in held[4:]] == [
@@ -340,7 +344,7 @@ def test_a_qp_that_does_not_converge_gives_the_networks_pose(
     network = erring(truth)
     alone, _ = run(network, noisy)
     monkeypatch.setattr("hybrid.limb_qp.ACCEPTED_KKT", -1.0)
-    poses, state = run(Tracker(network), noisy)
+    poses, state = run(Tracker(network, single()), noisy)
     limbs = slice(1, 24)
     for a, b in zip(alone, poses, strict=True):
         assert b.note == NOT_CONVERGED
@@ -365,7 +369,7 @@ def test_a_rate_limit_holds_and_gives_way_to_nothing_but_limits(truth: Motion) -
         )
         for s in samples(recording)
     ][1:-1]
-    slow = TrackerSettings(rate_limit_deg_s=300.0, network_memory_s=0)
+    slow = single(rate_limit_deg_s=300.0, network_memory_s=0)
     poses, _ = feed(Tracker(network_two, slow), rows)
     elbow = np.stack([check(p).R_parent_joint[18] for p in poses])
     step = np.rad2deg(ori.angle_between(elbow[:-1], elbow[1:]))
@@ -388,14 +392,16 @@ def test_a_rate_limit_holds_and_gives_way_to_nothing_but_limits(truth: Motion) -
 
 def test_settings_and_places_are_checked(truth: Motion) -> None:
     with pytest.raises(PoserError, match="orientation_sigma_deg must be positive"):
-        TrackerSettings(orientation_sigma_deg=0)
+        single(orientation_sigma_deg=0)
     with pytest.raises(PoserError, match="24 values"):
-        TrackerSettings(network_scale=(1.0, 2.0))
+        single(network_scale=(1.0, 2.0))
     with pytest.raises(SensorError, match="unknown"):
         Tracker(FakeNetwork(truth, names=("nose",)))
     with pytest.raises(SensorError, match="given for 1 sensors"):
         Tracker(FakeNetwork(truth, names=("nose",)), joint=np.zeros(2, int), seat=np.zeros((1, 3)))
-    Tracker(FakeNetwork(truth, names=("nose",)), joint=np.array([15]), seat=np.zeros((1, 3)))
+    Tracker(
+        FakeNetwork(truth, names=("nose",)), single(), joint=np.array([15]), seat=np.zeros((1, 3))
+    )
 
 
 def test_the_root_stays_where_it_is_in_a_frame_that_falls_back(truth: Motion) -> None:
@@ -403,7 +409,7 @@ def test_the_root_stays_where_it_is_in_a_frame_that_falls_back(truth: Motion) ->
     rows = list(samples(recording))
     later = [replace(s, time_s=s.time_s + 2.0) for s in rows[60:]]
     network = FakeNetwork(truth, names=places.SIX, look_ahead=0)
-    poses, _ = feed(Tracker(network), rows[:60] + later)
+    poses, _ = feed(Tracker(network, single()), rows[:60] + later)
     assert any(tracker.TIME_GAP in p.note for p in poses)
     p = np.stack([q.p_world_root for q in poses])
     assert np.linalg.norm(np.diff(p, axis=0), axis=1).max() < 0.15

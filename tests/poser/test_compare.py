@@ -371,3 +371,13 @@ def test_a_device_that_is_named_is_served_by_another_on_its_bone(
     assert "left_forearm stands in for left_wrist" in capsys.readouterr().err
     record = json.loads((tmp_path / "results.json").read_text())["recordings"][0]
     assert record["methods"]["imuposer"]["used_sensors"] == ["left_forearm"]
+
+
+def test_the_single_frame_is_run_where_it_is_named() -> None:
+    assert comparison.canonical(("hybrid", "frame-dip", "dip")) == (
+        "dip",
+        "hybrid-dip",
+        "frame-dip",
+    )
+    assert not {"frame-dip", "frame-imuposer"} & set(comparison.METHODS)
+    assert comparison.NETWORK["frame-imuposer"] == "imuposer"

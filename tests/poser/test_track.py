@@ -118,6 +118,47 @@ def test_times_are_told_of_the_recordings_samples(
     assert re.search(said, capsys.readouterr().out)
 
 
+def test_horizon_and_lag_are_the_hybrids(
+    place: Path, tmp_path: Path, answer: Callable[..., Any]
+) -> None:
+    line = ("track", place / "six.npz", "--weights", place / "dip.safetensors", "--to", 2.0)
+    hybrid = ("--method", "hybrid")
+    said = answer(*line, "-o", tmp_path / "a.npz", *hybrid, "--horizon", 0.2, "--lag", 2)
+    assert said["look_ahead_frames"] == said["lag_frames"] == 2
+    assert said["window_frames_most"] == 12 and 1 <= said["steps_per_frame"] <= 2
+    again = answer(*line, "-o", tmp_path / "b.npz", *hybrid, "--horizon", 0.2, "--lag", 2)
+    assert said["window_events"] == again["window_events"]
+    poses = [files.motion(tmp_path / f"{name}.npz").R_parent_joint for name in "ab"]
+    assert np.abs(poses[0] - poses[1]).max() < 1e-6
+    alone = answer(*line, "-o", tmp_path / "c.npz", *hybrid, "--horizon", 0)
+    assert alone["look_ahead_frames"] == 5 and alone["window_frames"] == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--method", "dip", "--lag", "3"], "argument --lag: it is the hybrid's"),
+        (["--method", "imuposer", "--horizon", "1"], "argument --horizon: it is the hybrid's"),
+        (["--method", "hybrid", "--horizon", "-1"], "argument --horizon: 0 to 5 s, got -1"),
+        (
+            ["--method", "hybrid", "--horizon", "0", "--lag", "3"],
+            "argument --lag: without a window",
+        ),
+        (["--method", "hybrid", "--lag", "half"], "'half' is not a number of frames"),
+    ],
+)
+def test_a_horizon_or_lag_that_cannot_be_is_refused(
+    words: list[str],
+    said: str,
+    place: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    line = ["track", str(place / "six.npz"), "-o", str(tmp_path / "o.npz"), *words]
+    assert main(line) == 2
+    assert said in capsys.readouterr().err
+
+
 def test_fewer_frames_than_the_look_ahead_are_told(
     place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

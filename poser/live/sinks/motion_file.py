@@ -1,7 +1,8 @@
-"""A motion file, written at the end."""
+"""A motion file, written down as it goes and made whole at the end."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -9,45 +10,55 @@ import numpy as np
 
 from mocap.estimator import Pose
 from mocap.motion import Motion
-from mocap.skeleton import Skeleton
+from mocap.orientation import Array
+from mocap.skeleton import JOINTS, PARENTS, Skeleton
 from poser import files
 from poser.live.sinks.protocol import Kind, Sink, Told
+from poser.live.spool import Spool
 
 SUFFIXES = (".npz", ".bvh")
 
 
 class MotionFile:
-    """Keeps poses and writes them on `close`, aside and then renamed: the file is whole or not there.
+    """Writes poses down (`poser.live.spool`) and makes the file of them on `close`: it is whole or not there.
 
     A frame left out (the estimator lagged, the network stalled) is filled with the pose before it, so
-    that frame k stays at k / rate_hz; `held` counts these.
+    that frame k stays at k / rate_hz; `held` counts these. `lost`: for want of room, where any.
     """
 
     def __init__(self, path: Path, rate_hz: float, skeleton: Skeleton):
         self.name = str(path)
-        self._path, self._rate_hz, self._skeleton = path, rate_hz, skeleton
-        self._first_s = 0.0
-        self._R: list[np.ndarray] = []
-        self._p: list[np.ndarray] = []
-        self.held = 0
+        self._rate_hz, self._first_s = rate_hz, 0.0
+        self._last: np.ndarray | None = None
+        self._taken = self.held = 0
+        head = {"rate_hz": rate_hz, "offsets": skeleton.offsets.tolist()}
+        self._spool = Spool(path, 9 * len(JOINTS) + 3, head, _write)
 
     def write(self, pose: Pose) -> None:
-        if not self._R:
+        if self._last is None:
             self._first_s = pose.time_s
         k = round((pose.time_s - self._first_s) * self._rate_hz)
-        while len(self._R) < k:
-            self._R.append(self._R[-1])
-            self._p.append(self._p[-1])
+        while self._last is not None and self._taken < k:
+            self._take(self._last)
             self.held += 1
-        # float32 halves the memory of a day; the file's rotations are projected anyway.
-        self._R.append(pose.R_parent_joint.astype(np.float32))
-        self._p.append(pose.p_world_root.astype(float))
+        self._last = np.concatenate([pose.R_parent_joint.ravel(), pose.p_world_root])
+        self._take(self._last)
+
+    def _take(self, row: np.ndarray) -> None:
+        # Single precision: a day takes 4.5 GB, and the file's rotations are projected anyway.
+        self._spool.append(row)
+        self._taken += 1
 
     def close(self) -> dict[str, Any]:
-        if self._R:
-            R, p = np.array(self._R, float), np.array(self._p)
-            files.write(self._path, Motion(self._rate_hz, R, p, self._skeleton))
-        return {"frames": len(self._R), "held": self.held}
+        self._spool.finish()
+        lost = {"lost": self._spool.lost} if self._spool.lost else {}
+        return {"frames": self._spool.count, "held": self.held} | lost
+
+
+def _write(path: Path, head: Mapping[str, Any], rows: Array) -> None:
+    skeleton = Skeleton(JOINTS, PARENTS, np.array(head["offsets"]))
+    R = rows[:, :-3].astype(float).reshape(len(rows), len(JOINTS), 3, 3)
+    files.write(path, Motion(head["rate_hz"], R, rows[:, -3:].astype(float), skeleton))
 
 
 def _make(told: Told) -> Sink:

@@ -2,9 +2,10 @@
 
 A datagram is "MXTP02", u32 sample, u8 number and last flag, u8 items, u32 time in ms, u8 character, u8 body
 segments, u8 props, u8 finger segments, u16, u16 size, then items of i32 segment, f32 x y z m, f32 w x y z.
-The world is z-up with x forward, and segment frames are the world's in the T-pose, as our bones' are: what
-comes are orientations of bones. The acceleration of a sensor is the second difference of where its seat
-on the segment is; so a packet is sent on when the next sample has come.
+The world is z-up with x forward, and segment frames are the world's in the T-pose with straight limbs: what
+comes are orientations of bones, but for the constants of long bones (`mvnx.straightened`). The acceleration
+of a sensor is the second difference of where its seat on the segment is; so a packet is sent on when the next
+sample has come.
 
 Devices are named by their places, those of a second character `1:pelvis`.
 """
@@ -19,8 +20,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mocap import sensors as places
-from mocap.formats.mvnx import PLACES, R_OURS_MVN
+from mocap.formats.mvnx import PLACES, R_OURS_MVN, straightened
 from mocap.orientation import Array
+from mocap.skeleton import Skeleton
 from poser.live.packets import SEQUENCE_MODULUS, Packet, Rejected, number, rotation
 from poser.live.receiver import Receiver
 from poser.live.sources.protocol import MAX_DEVICES, Intake, Kind, Told
@@ -36,6 +38,8 @@ SEGMENTS = (
 """By segment numbers, which begin at 1."""
 WINDOW = 240  # samples over which times, sent in whole ms, are smoothed
 ENOUGH = 10  # of them before the time of a sample is known well enough for second differences
+
+_STRAIGHT = straightened(Skeleton.default())
 
 
 @dataclass
@@ -136,8 +140,10 @@ def _pose(values: Sequence[float]) -> tuple[Array, Array]:
 
 
 def _seat(place: str, R: Array, p: Array) -> tuple[Array, Array]:
-    """R, and where the sensor's seat is."""
-    return R, p + R @ np.array(places.lookup(place).position)
+    """R of our bone, and where the sensor's seat on it is."""
+    where = places.lookup(place)
+    R = R @ _STRAIGHT.get(where.joint, np.eye(3))
+    return R, p + R @ np.array(where.position)
 
 
 def _worn(sensors: Sequence[str]) -> dict[str, str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tarfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,19 +24,25 @@ BLENDER = {"pelvis": "hips", "spine1": "spine", "spine3": "chest", "neck": "neck
            "hip": "thigh", "knee": "shin", "ankle": "foot", "foot": "toe"}  # fmt: skip
 
 
-def extract(archive: Path, wanted: tuple[str, ...], into: Path) -> dict[str, Path]:
-    """The wanted `.bvh` members of an archive by stem; reading stops at the last one."""
-    found = {}
+def members(archive: Path, wanted: Sequence[str], into: Path) -> dict[str, Path]:
+    """The wanted files of an archive by name, written into a folder; reading stops at the last one."""
+    found: dict[str, Path] = {}
     with tarfile.open(archive) as tar:
         for member in tar:
-            stem = Path(member.name).stem
-            data = tar.extractfile(member) if stem in wanted else None
+            name = Path(member.name).name
+            data = tar.extractfile(member) if name in wanted else None
             if data is not None:
-                found[stem] = into / f"{stem}.bvh"
-                found[stem].write_bytes(data.read())
-            if len(found) == len(wanted):
+                found[name] = into / name
+                found[name].write_bytes(data.read())
+            if len(found) == len(set(wanted)):
                 break
     return found
+
+
+def extract(archive: Path, wanted: tuple[str, ...], into: Path) -> dict[str, Path]:
+    """The wanted `.bvh` members of an archive by stem."""
+    found = members(archive, [f"{stem}.bvh" for stem in wanted], into)
+    return {path.stem: path for path in found.values()}
 
 
 @dataclass

@@ -19,6 +19,7 @@ from mocap.formats.native import write_raw, write_recording
 from mocap.motion import Motion
 from mocap.recording import RawRecording, Recording
 from mocap.skeleton import Skeleton
+from tests.mocap.formats import rig_files
 
 RATE = 60.0
 FRAMES = 240  # of every file, unless told; the fuzz makes them shorter
@@ -184,7 +185,8 @@ def mvnx_text(sensors: bool = True) -> str:
     rng = np.random.default_rng(2)
     mount = ori.from_quat(rng.normal(size=(len(MVN_SENSORS), 4)))
     joints = [MVN_JOINT[n] for n in MVN_SEGMENTS]
-    R_segment = _MVN_OURS @ m.R_world_joint[:, joints] @ _MVN_OURS.T
+    straight = rig_files.straight(m.skeleton.rest_positions)  # MVN's T-pose has straight limbs
+    R_segment = _MVN_OURS @ (m.R_world_joint @ straight)[:, joints] @ _MVN_OURS.T
     p = m.p_world_joint[:, joints] @ _MVN_OURS.T
     p[:, 0] = m.p_world_joint[:, [1, 2]].mean(axis=1) @ _MVN_OURS.T
     rest = m.skeleton.rest_positions[joints] @ _MVN_OURS.T

@@ -273,3 +273,38 @@ def test_nothing_of_a_refused_packet_stays() -> None:
     assert counts.duplicates == counts.lost == counts.jumps == 0
     assert all(row.valid[0] for _, row in rows[:295])
     assert_true(rows[:295])
+
+
+def test_two_senders_of_one_name_do_not_disturb_each_other() -> None:
+    """The first one is heard as if alone, the second one once nothing more comes of it."""
+    mine, other = ("127.0.0.1", 4000), ("127.0.0.1", 5000)
+    alone, both = Assembler(("a",), 60.0), Assembler(("a",), 60.0)
+    last = {"alone": [], "both": []}  # type: ignore[var-annotated]
+    for k in range(120):
+        t = k / 60.0
+        packet = Packet("a", 100.0 + t, np.eye(3), np.full(3, t), k, None, mine)
+        for made, name in ((alone, "alone"), (both, "both")):
+            made.push(packet, t)
+            last[name] += made.pull(t)
+        if k > 2:
+            # Another clock, numbers that the first is about to use.
+            both.push(Packet("a", 7.0 + t, np.eye(3), np.full(3, -1.0), k + 1, None, other), t)
+    assert len(last["both"]) == len(last["alone"]) > 100
+    for a, b in zip(last["alone"], last["both"], strict=True):
+        np.testing.assert_array_equal(a.acc_world, b.acc_world)
+    counts = both.counts["a"]
+    assert (counts.others, counts.duplicates, counts.lost, counts.clock) == (117, 0, 0, 0)
+    for k in range(120, 240):
+        t = k / 60.0
+        both.push(Packet("a", 7.0 + t, np.eye(3), np.full(3, -1.0), k + 1, None, other), t)
+        last["both"] += both.pull(t)
+    assert last["both"][-1].valid.all() and last["both"][-1].acc_world[0, 0] == -1.0
+
+
+def test_a_sender_with_a_socket_for_each_packet_is_one_sender() -> None:
+    made = Assembler(("a",), 60.0)
+    for k in range(60):
+        sender = ("127.0.0.1", 4000 + k)
+        made.push(Packet("a", k / 60.0, np.eye(3), np.zeros(3), k, None, sender), k / 60.0)
+    counts = made.counts["a"]
+    assert (counts.received, counts.others, counts.lost) == (60, 0, 0)

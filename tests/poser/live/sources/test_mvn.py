@@ -12,10 +12,11 @@ import pytest
 
 from mocap import orientation as ori
 from mocap import sensors
-from mocap.formats.mvnx import R_OURS_MVN
+from mocap.formats.mvnx import R_OURS_MVN, straightened
 from mocap.motion import Motion
 from mocap.orientation import Array
 from mocap.recording import Recording
+from mocap.skeleton import Skeleton
 from poser.live.addresses import Address
 from poser.live.packets import Packet, Rejected
 from poser.live.receiver import Receiver
@@ -23,6 +24,7 @@ from poser.live.sources import mvn
 from poser.live.sources.mvn import SEGMENTS, Mvn
 from tests.poser.live.sources.conftest import SIX, Time, accelerations, heard, same_poses, wxyz
 
+STRAIGHT = straightened(Skeleton.default())
 JOINT = {
     "Pelvis": 0, "L5": 3, "T12": 6, "T8": 9, "Neck": 12, "Head": 15, "LeftShoulder": 13,
     "RightShoulder": 14, "LeftUpperArm": 16, "RightUpperArm": 17, "LeftForeArm": 18,
@@ -46,11 +48,15 @@ def datagram(
 
 
 def suit(motion: Motion, k: int, who: int = 0) -> bytes:
-    """All 23 segments of a frame, as MVN streams them: 60 Hz, times in whole ms."""
+    """All 23 segments of a frame, as MVN streams them: 60 Hz, times in whole ms.
+
+    Segment frames are the world's in the T-pose with straight limbs, our bones' in our rest pose.
+    """
     items = []
     for n, name in enumerate(SEGMENTS, 1):
         j = JOINT.get(name, 6)
-        R = R_OURS_MVN.T @ motion.R_world_joint[k, j] @ R_OURS_MVN
+        R_world_segment = motion.R_world_joint[k, j] @ STRAIGHT.get(j, np.eye(3)).T
+        R = R_OURS_MVN.T @ R_world_segment @ R_OURS_MVN
         items.append(item(n, R_OURS_MVN.T @ motion.p_world_joint[k, j], wxyz(R)))
     return datagram(1000 + k, round(k * 1000 / 60), items, who)
 
@@ -83,7 +89,8 @@ def test_segments_turn_as_bones_do() -> None:
     for k in range(14):
         found += list(decode(datagram(k, 16 * k, [item(14, np.zeros(3), q)])))
     assert {p.device for p in found if isinstance(p, Packet)} == {"left_forearm"}
-    np.testing.assert_allclose(found[-1].R_world_sensor, ori.rot_z(np.pi / 2), atol=1e-6)
+    expected = ori.rot_z(np.pi / 2) @ STRAIGHT[JOINT["LeftForeArm"]]
+    np.testing.assert_allclose(found[-1].R_world_sensor, expected, atol=1e-6)
 
 
 @pytest.mark.parametrize(
