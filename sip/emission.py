@@ -28,7 +28,7 @@ def shown(
     state: HorizonState,
     lag: int = 0,
     before: Shown | None = None,
-    memory_s: float = 0.1,
+    memory_s: float = 0.05,
 ) -> Shown:
     """The pose of the frame `lag` frames before the newest, to follow those of `before`, its last.
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -297,20 +298,33 @@ class Horizon:
 
     def _of_first(self, evidence: Evidence, point: Point, arrival: Arrival) -> tuple[Array, Array]:
         """Gauss-Newton matrix and gradient, dense, of all terms that the first frame has a part in."""
-        T, n, border = len(evidence), self.kinematics.n, self.model.border
-        band = Band.zeros(T, self.reach, n, border)
+        T, n, border = self.reach + 1, self.kinematics.n, self.model.border
+        known = self._first_constant
+        band = Band(known.blocks.copy(), known.border.copy(), known.corner.copy())
         grad, grad_u = np.zeros((T, n)), np.zeros((self.kinematics.S, CONSTANTS))
         for reach in self.reaches:
             # As many frames as a term reaches hold one residual of it: that of the first frame.
             some, here = evidence.slice(0, reach + 1), point.slice(0, reach + 1)
             part = Band(band.blocks[: reach + 1], band.border[: reach + 1], band.corner)
-            for term in self.model.frame_terms(some):
-                if term.reach == reach:
+            for term in self.model.frame_terms(some, reach):
+                if not term.constant:
                     term.hessian(here, part)
-                    term.pullback(here, term.residual(here), grad[: reach + 1], grad_u)
+                term.pullback(here, term.residual(here), grad[: reach + 1], grad_u)
         arrival.hessian(point, band)
         arrival.pullback(point, arrival.residual(point), grad, grad_u)
         return band.dense(), np.concatenate([grad.ravel(), grad_u.ravel()[:border]])
+
+    @cached_property
+    def _first_constant(self) -> Band:
+        """That part of the matrix in `_of_first` which is the same everywhere; not to be written to."""
+        n = self.kinematics.n
+        band = Band.zeros(self.reach + 1, self.reach, n, self.model.border)
+        blank = Point(np.zeros((self.reach + 1, n)), *[np.zeros(0)] * 4)
+        for term in (t for t in self.model.body if t.constant):
+            many = term.reach + 1
+            part = Band(band.blocks[:many], band.border[:many], band.corner)
+            term.hessian(blank.slice(0, many), part)
+        return band
 
     def _listened(self, state: HorizonState, belief: PoseBelief, t: int) -> HorizonState:
         """The state with the network's word about frame t of the window."""

@@ -168,23 +168,29 @@ class Model:
         sigma = np.r_[[s.sigma_mounting] * 3, s.sigma_heading, [s.sigma_bias] * 3]
         return sigma / np.sqrt(overcount(self.rate_hz, s))
 
-    def frame_terms(self, evidence: Evidence) -> list[Term]:
-        """The terms of these frames, those on the sensors' constants alone left out."""
+    def frame_terms(self, evidence: Evidence, reach: int | None = None) -> list[Term]:
+        """The terms of these frames, or those of one reach, without those on the sensors' constants alone."""
         s, calibrating = self.settings, self.settings.self_calibration
-        terms: list[Term] = [Orientation(s.sigma_orientation, evidence.ori_valid, calibrating)]
-        if s.terms == "sip":
+
+        def wanted(r: int) -> bool:
+            return r < len(evidence) and reach in (None, r)
+
+        terms: list[Term] = []
+        if wanted(0):
+            terms.append(Orientation(s.sigma_orientation, evidence.ori_valid, calibrating))
+        if s.terms == "sip" and wanted(Acceleration.reach):
             # A bias lies in the sensor's frame: without an orientation nothing is known of it.
             R = np.where(evidence.ori_valid[..., None, None], evidence.R, 0.0)
             sigma, delta = s.sigma_acceleration, s.robust_delta
             moving = evidence.acc, R, evidence.acc_valid, calibrating
             terms.append(Acceleration(sigma, delta, self.rate_hz, *moving))
-        terms += self.body
-        if evidence.belief is not None:
+        terms += [t for t in self.body if wanted(t.reach)]
+        if evidence.belief is not None and wanted(0):
             terms.append(NetworkPose(evidence.belief))
-        if evidence.stands is not None and len(evidence) > 1:
+        if evidence.stands is not None and wanted(Contact.reach):
             stands = evidence.stands[:-1]
             terms.append(Contact(self.soles, stands, s.sigma_contact, self.rate_hz))
-        return [t for t in terms if t.reach < len(evidence)]
+        return terms
 
     def terms(self, evidence: Evidence) -> list[Term]:
         """All terms of these frames."""

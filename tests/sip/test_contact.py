@@ -78,5 +78,5 @@ def test_the_path_of_a_walk_is_found_by_its_feet() -> None:
         found = solve(recording, settings=Settings(solver="banded", sigma_contact=sigma)).motion
         moved = [m.p_world_root[-20] - m.p_world_root[20] for m in (found, truth)]
         far[sigma] = float(np.linalg.norm(moved[0] - moved[1]))
-    assert far[0.3] < 0.25
+    assert far[0.3] < 0.35
     assert far[0.3] < far[np.inf] / 3
