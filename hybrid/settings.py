@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from hybrid.motion_filter import FilterNoise
+from mocap import checked
 from mocap.errors import PoserError
 from mocap.estimator import Estimator, tracker_hints
 
@@ -78,6 +79,11 @@ class TrackerSettings:
         return cls(**stated)
 
     def __post_init__(self) -> None:
+        checked.settings(self, free=("network_sigma_deg", "network_scale"), error=PoserError)
+        for name in ("network_sigma_deg", "network_scale"):
+            value = getattr(self, name)
+            for one in value if isinstance(value, tuple) else (value,):
+                checked.number(one, f"TrackerSettings: {name}", above=0, error=PoserError)
         if not 0 <= self.network_memory_s < float("inf"):
             raise PoserError("TrackerSettings: network_memory_s must be zero or more")
         for name in POSITIVE:
@@ -88,8 +94,5 @@ class TrackerSettings:
             raise PoserError("TrackerSettings: network_ceiling_deg must lie between floor and 180")
         for name in ("network_sigma_deg", "network_scale"):
             value = getattr(self, name)
-            values = value if isinstance(value, tuple) else (value,)
             if isinstance(value, tuple) and len(value) != 24:
                 raise PoserError(f"TrackerSettings: {name} needs 24 values, got {len(value)}")
-            if not all(0 < v < float("inf") for v in values):
-                raise PoserError(f"TrackerSettings: {name} must be positive")
