@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mocap import checked
 from mocap.orientation import Array
 
 
@@ -45,6 +46,9 @@ class FilterNoise:
     solved_s: float = 1.0
     start_velocity: float = 0.7
     widest_m: float = 0.3
+
+    def __post_init__(self) -> None:
+        checked.settings(self, positive=("widest_m",))
 
     @property
     def density(self) -> float:

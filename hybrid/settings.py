@@ -7,6 +7,7 @@ from functools import cache
 from typing import Any
 
 from hybrid.motion_filter import FilterNoise
+from mocap import checked
 from mocap.errors import PoserError
 from mocap.estimator import Estimator, tracker_hints
 from sip import Settings
@@ -106,20 +107,23 @@ class TrackerSettings:
         return cls(**stated)
 
     def __post_init__(self) -> None:
-        for name in ("network_memory_s", "horizon_s"):
-            if not 0 <= getattr(self, name) < float("inf"):
-                raise PoserError(f"TrackerSettings: {name} must be zero or more")
-        for name in ("horizon_memory_s", "valley_s", "deviations_s"):
-            if not getattr(self, name) > 0:
-                raise PoserError(f"TrackerSettings: {name} must be positive")
-        if self.budget_s is not None and not self.budget_s > 0:
-            raise PoserError(f"TrackerSettings: budget_s must be positive, got {self.budget_s!r}")
+        checked.settings(
+            self,
+            positive=("horizon_memory_s", "valley_s", "deviations_s", "steps"),
+            infinite=("horizon_memory_s", "valley_s", "deviations_s"),
+            free=("network_sigma_deg", "network_scale"),
+            error=PoserError,
+        )
+        for name in ("network_sigma_deg", "network_scale"):
+            value = getattr(self, name)
+            for one in value if isinstance(value, tuple) else (value,):
+                checked.number(one, f"TrackerSettings: {name}", above=0, error=PoserError)
+        if self.budget_s is not None:
+            checked.number(self.budget_s, "TrackerSettings: budget_s", above=0, error=PoserError)
         if self.lag is not None and (self.lag < 0 or not self.horizon_s):
             raise PoserError(
                 "TrackerSettings: lag must be zero or more, and needs a window (horizon_s)"
             )
-        if self.steps < 1:
-            raise PoserError(f"TrackerSettings: steps must be 1 or more, got {self.steps!r}")
         for name in POSITIVE:
             value = getattr(self, name)
             if not 0 < value < float("inf"):
@@ -128,8 +132,5 @@ class TrackerSettings:
             raise PoserError("TrackerSettings: network_ceiling_deg must lie between floor and 180")
         for name in ("network_sigma_deg", "network_scale"):
             value = getattr(self, name)
-            values = value if isinstance(value, tuple) else (value,)
             if isinstance(value, tuple) and len(value) != 24:
                 raise PoserError(f"TrackerSettings: {name} needs 24 values, got {len(value)}")
-            if not all(0 < v < float("inf") for v in values):
-                raise PoserError(f"TrackerSettings: {name} must be positive")

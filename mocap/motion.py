@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mocap import checked
 from mocap import orientation as ori
 from mocap.errors import ShapeError
 from mocap.orientation import Array
@@ -16,7 +17,7 @@ from mocap.skeleton import MIRROR, Skeleton
 
 def check_rate(rate_hz: float, what: str) -> float:
     """`rate_hz` as a float, or ShapeError: finite and between 1 and 10,000 Hz."""
-    rate = float(rate_hz)
+    rate = checked.number(rate_hz, f"{what}: rate_hz")
     if not (np.isfinite(rate) and 1.0 <= rate <= 10_000.0):
         raise ShapeError(f"{what}: rate_hz must lie between 1 and 10000, got {rate_hz!r}")
     return rate
@@ -41,7 +42,9 @@ class Motion:
     trusted: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
-        R, p = np.array(self.R_parent_joint, float), np.array(self.p_world_root, float)
+        checked.instance(self.skeleton, Skeleton, "Motion: skeleton")
+        R = checked.array(self.R_parent_joint, "Motion: R_parent_joint")
+        p = checked.array(self.p_world_root, "Motion: p_world_root")
         J = len(self.skeleton.names)
         if R.ndim != 4 or R.shape[1:] != (J, 3, 3) or len(R) == 0:
             raise ShapeError(f"Motion: R_parent_joint must be (T,{J},3,3), T > 0, got {R.shape}")
@@ -58,8 +61,7 @@ class Motion:
             raise ShapeError(f"Motion: frame {t}: p_world_root is not finite")
         if np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max() > 1e-9:
             R = ori.project(R)
-        if not np.isfinite(self.start_s):
-            raise ShapeError(f"Motion: start_s must be a finite number of s, got {self.start_s!r}")
+        checked.number(self.start_s, "Motion: start_s")
         if self.trusted is not None:
             trusted = np.array(self.trusted)
             if trusted.shape != (len(R),) or trusted.dtype != bool:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap import checked
 from mocap import orientation as ori
 from mocap import sensors as places
 from mocap.errors import SensorError, ShapeError
@@ -27,7 +28,7 @@ def _names(names: tuple[str, ...], what: str) -> tuple[str, ...]:
 
 
 def _array(x: Any, shape: tuple[int, ...], what: str) -> Array:
-    x = np.array(x, float)
+    x = checked.array(x, what)
     if x.shape != shape:
         raise ShapeError(f"{what} must be {shape}, got {x.shape}")
     return x
@@ -71,12 +72,15 @@ class RawRecording:
 
     def __post_init__(self) -> None:
         names = _names(self.sensors, "RawRecording")
-        acc = np.asarray(self.acc, float)
+        acc = checked.array(self.acc, "RawRecording: acc")
         T, S = (acc.shape[0] if acc.ndim == 3 else 0), len(names)
         if T == 0:
             raise ShapeError(f"RawRecording: acc must be (T,{S},3), T > 0, got {acc.shape}")
         put = object.__setattr__
         put(self, "rate_hz", check_rate(self.rate_hz, "RawRecording"))
+        put(self, "start_s", checked.number(self.start_s, "RawRecording: start_s"))
+        if self.reference is not None:
+            checked.instance(self.reference, Motion, "RawRecording: reference")
         put(self, "sensors", names)
         put(self, "acc", _array(self.acc, (T, S, 3), "RawRecording: acc"))
         put(self, "gyr", _array(self.gyr, (T, S, 3), "RawRecording: gyr"))
@@ -175,7 +179,10 @@ class Recording:
         put(self, "sensors", names)
         put(self, "rate_hz", check_rate(self.rate_hz, "Recording"))
         S = len(names)
-        R = np.array(self.R_world_bone, float)
+        put(self, "start_s", checked.number(self.start_s, "Recording: start_s"))
+        if self.reference is not None:
+            checked.instance(self.reference, Motion, "Recording: reference")
+        R = checked.array(self.R_world_bone, "Recording: R_world_bone")
         if R.ndim != 4 or R.shape[1:] != (S, 3, 3) or len(R) == 0:
             raise ShapeError(f"Recording: R_world_bone must be (T,{S},3,3), T > 0, got {R.shape}")
         T = len(R)

@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap import checked
 from mocap import orientation as ori
 from mocap.errors import SolveError
 from mocap.orientation import Array
@@ -53,6 +54,7 @@ class HorizonSettings:
     walk_bias: float = 0.005
 
     def __post_init__(self) -> None:
+        checked.settings(self, infinite=("memory_s",), error=SolveError)
         for name in ("seconds", "memory_s"):
             if not getattr(self, name) > 0:
                 raise SolveError(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from mocap import checked
 from mocap.errors import SolveError
 from mocap.motion import Motion
 from sip.prior import Prior, shipped
@@ -18,6 +19,10 @@ if TYPE_CHECKING:
     from sip.terms.base import Term
 
 DEG = np.pi / 180
+# Where infinity leaves something out, or never forgets it.
+UNBOUNDED = (
+    "sigma_acceleration", "sigma_contact", "sigma_gauge", "sigma_limits", "robust_delta", "network_memory_s",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -92,6 +97,18 @@ class Settings:
         return self.prior_weight_calibrating if self.self_calibration else self.prior_weight
 
     def __post_init__(self) -> None:
+        may = (
+            "sigma_contact",
+            "network_memory_s",
+            "sigma_gauge",
+            "robust_delta",
+            "sigma_limits",
+            "sigma_acceleration",
+        )
+        checked.settings(self, infinite=may, error=SolveError)
+        if not isinstance(self.start, Motion) and self.start != "prior":
+            raise SolveError(f'Settings: start must be "prior" or a Motion, got {self.start!r:.60}')
+        checked.instance(self.prior, Prior, "Settings: prior", SolveError)
         for name in ("terms", "solver"):
             allowed = {"terms": ("sop", "sip"), "solver": ("ipopt", "ipopt-cold", "banded")}[name]
             if getattr(self, name) not in allowed:

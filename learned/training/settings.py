@@ -10,6 +10,7 @@ from learned.config import Config, for_network
 from learned.errors import TrainingError
 from learned.registry import specification
 from learned.training.augmentation import Augmentation
+from mocap import checked
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,12 @@ class TrainSettings:
     augmentation: Augmentation = field(default_factory=Augmentation)
 
     def __post_init__(self) -> None:
+        # None stands for no limit of these.
+        free = [name for name in ("steps", "minutes") if getattr(self, name) is None]
+        positive = ("learning_rate", "decay", "clip")
+        checked.settings(
+            self, positive=positive, free=free, infinite=("clip",), error=TrainingError
+        )
         for name in ("steps", "batch", "every", "decay_steps"):
             value = getattr(self, name)
             if value is not None and value < 1:
@@ -64,9 +71,6 @@ class TrainSettings:
             raise TrainingError("steps or minutes must say when the run ends")
         if self.frames < 8:
             raise TrainingError(f"frames must be 8 or more, got {self.frames}")
-        for name in ("learning_rate", "decay", "clip"):
-            if not getattr(self, name) > 0:
-                raise TrainingError(f"{name} must be above zero, got {getattr(self, name)}")
         for name in ("cooldown", "average"):
             if not 0 <= getattr(self, name) < 1:
                 raise TrainingError(f"{name} must lie in [0, 1), got {getattr(self, name)}")

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap import checked
 from mocap import orientation as ori
 from mocap import sensors as places
 from mocap.errors import PoserError
@@ -102,6 +103,19 @@ _KEPT = ("angle_deg", "masked_angle_deg", "distance_cm", "untrusted_frames")
 JSON_NAMES: tuple[str, ...] = tuple(f.name for f in fields(Metrics) if f.name not in _KEPT)
 
 
+def _check_start(prediction: Motion, reference: Motion) -> None:
+    """Raises PoserError for motions of different times: frames would be compared that are not of one moment.
+
+    A start of 0 may mean that nobody has said when: then the frames are taken as they are.
+    """
+    a, b = prediction.start_s, reference.start_s
+    if a and b and abs(a - b) > (1 + 1e-6) / min(prediction.rate_hz, reference.rate_hz):
+        raise PoserError(
+            f"evaluate: the prediction starts at {a:g} s, the reference at {b:g} s; cut both to one time "
+            f"(mocap.timeline)"
+        )
+
+
 def evaluate(
     prediction: Motion,
     reference: Motion | None,
@@ -122,6 +136,10 @@ def evaluate(
     Raises PoserError where the lengths differ by more than one period of the slower motion, where no frame
     counts, and where neither reference nor recording is given.
     """
+    checked.instance(prediction, Motion, "evaluate: prediction", PoserError)
+    if reference is not None:
+        checked.instance(reference, Motion, "evaluate: reference", PoserError)
+        _check_start(prediction, reference)
     left_out = None
     if recording is not None and seen is not None:
         left_out = left_out_deg(prediction, recording, seen)

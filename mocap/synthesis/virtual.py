@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from mocap import checked
 from mocap import orientation as ori
 from mocap import sensors as places
 from mocap.errors import ShapeError
@@ -46,6 +47,11 @@ class Noise:
     loss: float = 0.01
     loss_s: float = 0.05
     bone: float = 0.05
+
+    def __post_init__(self) -> None:
+        checked.settings(self, positive=("tissue_s", "loss_s"))
+        if self.loss >= 1:
+            raise ShapeError(f"Noise: loss must be a fraction below 1, got {self.loss!r}")
 
     @classmethod
     def none(cls) -> Noise:

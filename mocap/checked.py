@@ -1,0 +1,85 @@
+"""What callers give, checked where it comes in: each error names the field, what was found and expected."""
+
+from __future__ import annotations
+
+import math
+import numbers
+from collections.abc import Collection
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap.errors import PoserError, ShapeError
+
+Array = NDArray[np.float64]
+
+
+def number(
+    value: Any, what: str, *, above: float = -math.inf, least: float = -math.inf,
+    infinite: bool = False, error: type[PoserError] = ShapeError,
+) -> float:  # fmt: skip
+    """`value`, a real number greater than `above` and no less than `least`; infinity only where it may be.
+
+    Raises `error` for another type (a truth value, text, a complex number), NaN, and what lies outside.
+    """
+    if isinstance(value, bool | np.bool_) or not isinstance(value, numbers.Real):
+        raise error(f"{what} must be a number, got {value!r}")
+    found = float(value)
+    wanted = f" above {above:g}" if above > -math.inf else ""
+    wanted = wanted or (f" of {least:g} or more" if least > -math.inf else "")
+    finite = math.isfinite(found) or (infinite and found > 0)
+    if not finite or not found > above or not found >= least:
+        raise error(
+            f"{what} must be a {'' if infinite else 'finite '}number{wanted}, got {value!r}"
+        )
+    return found
+
+
+def array(value: Any, what: str) -> Array:
+    """A copy as floats, NaN where something is missing. Raises ShapeError for None, text, complex numbers and
+    lists of unequal lengths."""
+    try:
+        given = np.asarray(value)
+    except (ValueError, TypeError) as e:
+        raise ShapeError(f"{what} must be an array of numbers ({e})") from e
+    if given.dtype.kind not in "fiu":
+        raise ShapeError(f"{what} must be an array of real numbers, got {_words(value, given)}")
+    return np.array(given, float)
+
+
+def instance(value: Any, kind: type, what: str, error: type[PoserError] = ShapeError) -> None:
+    """Raises `error` where `value` is of another class."""
+    if not isinstance(value, kind):
+        raise error(f"{what} must be a {kind.__name__}, got {type(value).__name__}")
+
+
+def settings(
+    given: Any, *, positive: Collection[str] = (), free: Collection[str] = (),
+    infinite: Collection[str] = (), error: type[PoserError] = ShapeError,
+) -> None:  # fmt: skip
+    """Check the fields of a dataclass whose defaults are numbers or truth values: sizes, zero or more.
+
+    positive: those above zero. free: of any sign, or checked elsewhere. infinite: those that may be infinity.
+    A number of frames or steps (its default is whole) must be whole, too. Raises `error`.
+    """
+    name = type(given).__name__
+    for field in fields(given):
+        value, what = getattr(given, field.name), f"{name}: {field.name}"
+        if field.name in free:
+            continue
+        if isinstance(field.default, bool):
+            if not isinstance(value, bool | np.bool_):
+                raise error(f"{what} must be True or False, got {value!r}")
+        elif isinstance(field.default, int | float):
+            above = 0.0 if field.name in positive else -math.inf
+            number(
+                value, what, above=above, least=0.0, infinite=field.name in infinite, error=error
+            )
+            if isinstance(field.default, int) and not isinstance(value, numbers.Integral):
+                raise error(f"{what} must be a whole number, got {value!r}")
+
+
+def _words(value: Any, given: NDArray[Any]) -> str:
+    return "None" if value is None else f"an array of {given.dtype}"
