@@ -23,7 +23,7 @@ from mocap.errors import SolveError
 from mocap.estimator import Pose, Sample
 from mocap.orientation import Array
 from mocap.skeleton import TOES, Skeleton
-from sip import Horizon, HorizonSettings, PoseBelief
+from sip import Horizon, HorizonSettings, PoseBelief, Shown, shown
 from sip.horizon import HorizonState
 from sip.model import Evidence
 
@@ -51,7 +51,7 @@ class WindowState:
     to the path, None until a pose of it was given. size: frames that the machine has time for. frame_s: mean
     time of a frame of late. pause: frames to go without a window. steps, frames: taken so far.
     waited: frames since the network's valley was last looked at. std_rad (24,3) of the poses, computed
-    std_age frames ago.
+    std_age frames ago. shown: the poses given last, in the window's places, the last of them at shown_s.
     """
 
     solved: HorizonState
@@ -65,6 +65,8 @@ class WindowState:
     waited: int = 0
     std_rad: Array | None = None
     std_age: int = 0
+    shown: Shown | None = None
+    shown_s: float = 0.0
 
 
 class Window:
@@ -103,7 +105,9 @@ class Window:
 
     def restarted(self, state: WindowState) -> WindowState:
         """Nothing seen yet, on a machine that is known."""
-        return replace(state, solved=self._longest.init(), times=(), shift=None, waited=0)
+        return replace(
+            state, solved=self._longest.init(), times=(), shift=None, shown=None, waited=0
+        )
 
     def _of_size(self, size: int) -> Horizon:
         if size not in self._by_size:
@@ -225,15 +229,19 @@ class Window:
             return state, None
         again = state.std_rad is None or state.std_age >= self._deviation_frames
         asked = again and math.isfinite(self._deviation_frames)
+        follows = abs(time_s - state.shown_s - 1 / self.rate_hz) < 0.5 / self.rate_hz
+        before, lag = state.shown if follows else None, len(state.times) - 1 - t
         try:
-            found = self._longest.pose(state.solved, len(state.times) - 1 - t, asked)
+            now = shown(self._longest, state.solved, lag, before, self.settings.shown_memory_s)
+            std = self._longest.pose(state.solved, lag, True).std_rad if asked else None
         except (SolveError, ArithmeticError, np.linalg.LinAlgError, ValueError):
             return state, None
-        R, place = found.R_parent_joint, found.p_world_root
+        R, place = now.R_parent_joint[-1], now.p_world_root[-1]
         if not (np.isfinite(R).all() and np.isfinite(place).all()):
             return state, None
+        state = replace(state, shown=now, shown_s=time_s)
         if asked:
-            state = replace(state, std_rad=found.std_rad, std_age=0)
+            state = replace(state, std_rad=std, std_age=0)
         shift = self._begun(R, last) - place if state.shift is None else state.shift
         state = replace(state, shift=shift, std_age=state.std_age + 1)
         return state, Pose(time_s, R, place + shift, state.std_rad)
