@@ -185,10 +185,11 @@ def joints(known: Mapping[str, Array]) -> Figure:
     axis.set_axisbelow(True)
     # Above the axes: within them no place is free of bars for every recording.
     axis.legend(
-        fontsize=8, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=max(1, len(known)),
+        fontsize=8, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=max(1, min(6, len(known))),
         frameon=False, borderaxespad=0.2, columnspacing=1.5,
     )  # fmt: skip
-    figure.subplots_adjust(0.065, 0.27, 0.99, 0.92)
+    # Six names a line; more of them need a second one.
+    figure.subplots_adjust(0.065, 0.27, 0.99, 0.92 if len(known) <= 6 else 0.86)
     return figure
 
 
