@@ -129,7 +129,12 @@ def dip_clip(job: tuple[str, Motion, str | None, dict[str, Any]]) -> list[dict[s
         out.append({"clip": name, "method": method} | figures(found, motion, recording, None))
     chosen = Path(weights) if weights else None
     dip = make("dip", 60.0, sensors.SIX, weights=chosen)
-    ways = {"dip": dip, "hybrid": hybrid.Tracker(dip)}
+    single = hybrid.TrackerSettings.around(dip, horizon_s=0.0)
+    ways = {
+        "dip": dip,
+        "frame-dip": hybrid.Tracker(dip, single),
+        "hybrid": hybrid.Tracker(dip),
+    }
     if settings:
         ways["hybrid, set"] = hybrid.Tracker(dip, hybrid.TrackerSettings(**settings))
     for method, estimator in ways.items():
@@ -356,6 +361,7 @@ def main() -> None:
         if part == "dip":
             print(by_subject(results))
             print(paired(results, "hybrid", "dip"))
+            print(paired(results, "hybrid", "frame-dip"))
             if args.tracker:
                 print(paired(results, "hybrid, set", "hybrid"))
         else:
