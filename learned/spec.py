@@ -70,9 +70,9 @@ class Specification:
         return max(map(len, self.combinations))
 
     def trained_on(self, worn: Collection[str]) -> bool:
-        """Whether it is trained on sensors at these places together."""
+        """Whether it is trained on sensors at these places together; nothing worn yet is no matter."""
         have = {self.places.index(p) for p in worn}
-        return have in map(set, self.combinations)
+        return not have or have in map(set, self.combinations)
 
 
 def named(path: str) -> Any:

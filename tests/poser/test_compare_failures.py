@@ -5,6 +5,7 @@ No method runs here: each answers with the reference itself (`instant`), so that
 
 from __future__ import annotations
 
+import html
 import json
 import sys
 import types
@@ -307,7 +308,8 @@ def test_devices_are_those_of_the_sensors_given_and_a_choice_is_told(
     said = capsys.readouterr().err
     assert read(tmp_path)["recordings"][0]["methods"]["imuposer"]["used_sensors"] == seen
     names = ", ".join(seen)
-    assert f"<dt>IMUPoser&#x27;s devices</dt><dd>{names}" in (tmp_path / "report.html").read_text()
+    page = html.unescape((tmp_path / "report.html").read_text())
+    assert f"<dt>IMUPoser's devices</dt><dd>{names}" in page
     if told is None:
         assert "IMUPoser sees" not in said
     else:

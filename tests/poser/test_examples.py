@@ -18,7 +18,7 @@ RUN = [
     ("live_loop", 1, "60 poses"),
     ("own_term", 2, "with goniometers: knees 1."),
     ("compare_methods", 2, "nearest pose"),
-    ("own_placement", 3, "telling the seats is worth 1."),
+    ("own_placement", 3, "telling the seats is worth 0."),
     ("own_estimator", 3, "hybrid around them, 2 of 180 frames: no sensor measured"),
 ]
 

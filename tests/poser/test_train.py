@@ -384,7 +384,7 @@ def test_a_run_with_other_settings_or_motions_is_left_alone(
         (["dip", "CLIPS", "--export", "x.pt"], 2, "must end in .safetensors"),
         (["dip", "CLIPS/subject0/deep/clip0.npz"], 1, "one motion cannot both train and validate"),
         (["dip", "CLIPS", "--validation", "CLIPS"], 2, "would both train and validate"),
-        (["dip", "CLIPS/subject0/deep/clip0.npz", "CLIPS/subject0/shape.npz"], 1, "do not fit"),
+        (["dip", "CLIPS/subject0/deep/clip0.npz", "CLIPS/subject0/shape.npz"], 1, "is none of"),
         (["dip", "CLIPS", "CLIPS/none.npz"], 1, "none.npz: no such file\n"),
         (["dip", "CLIPS", "CLIPS-none"], 1, "-none: no such file\n"),
         (["dip", "--validation", "CLIPS"], 2, "needs MOTION"),

@@ -76,10 +76,10 @@ def test_an_export_over_the_runs_own_files_is_refused(
 @pytest.mark.parametrize("architecture", ["feedforward", "wavenet"])
 def test_units_of_layers_that_have_none(architecture: str) -> None:
     with pytest.raises(UsageError, match=f"--hidden: not with --architecture {architecture}"):
-        training.check_hidden(Namespace(hidden=16, architecture=architecture))
-    training.check_hidden(Namespace(hidden=None, architecture=architecture))
+        training.check_hidden(Namespace(network="dip", hidden=16, architecture=architecture))
+    training.check_hidden(Namespace(network="dip", hidden=None, architecture=architecture))
     for recurrent in ("rnn", "birnn", None):
-        training.check_hidden(Namespace(hidden=16, architecture=recurrent))
+        training.check_hidden(Namespace(network="dip", hidden=16, architecture=recurrent))
 
 
 @pytest.mark.parametrize(

@@ -62,12 +62,15 @@ def test_turning_the_world_turns_the_answer(recording: Recording) -> None:
 
 
 def test_solver_ways_agree() -> None:
-    """From the same start near the solution all ways reach the same cost (limits inactive)."""
+    """From the same start near the solution all ways reach the same cost (limits inactive).
+
+    Without feet that stand: their robust cost leaves the path so flat a valley that solvers stop 5e-6 apart.
+    """
     motion = wavy(30, size=0.1)
     recording = synthesis.recording(motion, sensors.SIX)
     base = Settings()
     wide = replace(base.prior, lower=np.full(69, -3.0), upper=np.full(69, 3.0))
-    base = replace(base, prior=wide, start=motion, tolerance=1e-12)
+    base = replace(base, prior=wide, start=motion, tolerance=1e-12, sigma_contact=np.inf)
     costs = {}
     for way in ("banded", "ipopt", "ipopt-cold"):
         solution = solve(recording, settings=replace(base, solver=way))
