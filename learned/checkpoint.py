@@ -20,6 +20,7 @@ from torch import Tensor
 from learned.config import Config, Normalisation
 from learned.errors import CheckpointError
 from learned.model import Model, build
+from learned.spec import named
 from mocap.errors import FormatError
 from mocap.formats._files import check_regular, read_json, write_aside
 
@@ -140,6 +141,9 @@ def load(path: Path, network: str | None = None) -> Model:
         tensors = load_file(path)
     except (SafetensorError, OSError, ValueError) as e:
         raise CheckpointError(f"{path}: not a safetensors file, or cut short ({e})") from e
+    named(
+        config.specification.model
+    )  # imported here: under "meta" its constants would hold no numbers
     # Shapes alone: a description that is wrong may ask for gigabytes.
     with torch.device("meta"):
         expected = {k: tuple(v.shape) for k, v in build(config).state_dict().items()}

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import pickle
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -251,3 +253,19 @@ def test_a_pickle_in_place_of_the_weights_runs_nothing(
     with pytest.raises(CheckpointError, match="not a safetensors file"):
         checkpoint.load(path)
     assert not (tmp_path / "executed").exists()
+
+
+@pytest.mark.parametrize("network", ["dip", "imuposer"])
+def test_the_first_thing_a_process_does_may_be_to_load(network: str) -> None:
+    """Constants of a network's module hold numbers, whoever imports it first."""
+    code = (
+        "import torch\n"
+        "from learned import checkpoint\n"
+        f"checkpoint.load(checkpoint.shipped({network!r}))\n"
+        "import sys\n"
+        "for name, module in list(sys.modules.items()):\n"
+        "    if name.startswith('learned'):\n"
+        "        for key, value in vars(module).items():\n"
+        "            assert not (isinstance(value, torch.Tensor) and value.is_meta), (name, key)\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
