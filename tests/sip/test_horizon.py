@@ -115,7 +115,7 @@ def test_turning_the_world_turns_the_answer(names: tuple[str, ...]) -> None:
     turned = a.turned(yaw)
     # They part by rounding alone, which the place feels most: nothing but what came before it holds it.
     assert np.abs(b.R_world_joint - turned.R_world_joint).max() < 1e-5
-    assert np.abs(b.p_world_root - turned.p_world_root).max() < 2e-3
+    assert np.abs(b.p_world_root - turned.p_world_root).max() < 5e-3
 
 
 def test_a_second_without_sensors_is_bridged() -> None:
