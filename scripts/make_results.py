@@ -76,9 +76,9 @@ def made_by(record: dict[str, Any]) -> str:
 
 
 def offline(record: dict[str, Any], noise: str) -> str:
-    """The optimizer on the test split."""
+    """The optimizer on the test split; nothing where the benchmark ran without this noise."""
     rows = [r for r in record["rows"] if r["noise"] == noise]
-    return table(("", *ERRORS), means(rows, "method", ERRORS))
+    return table(("", *ERRORS), means(rows, "method", ERRORS)) if rows else ""
 
 
 def online(record: dict[str, Any]) -> str:
@@ -88,8 +88,10 @@ def online(record: dict[str, Any]) -> str:
 
 
 def devices(record: dict[str, Any]) -> str:
-    """One to three devices, by their number."""
-    rows, out = record["rows"]["imuposer"], []
+    """One to three devices, by their number; nothing where the benchmark ran without them."""
+    rows, out = record["rows"].get("imuposer", []), []
+    if not rows:
+        return ""
     methods = list(dict.fromkeys(r["method"] for r in rows))
     for label, few in (("1", 1), ("2", 2), ("3", 3), ("all 24 combinations", 0)):
         part = [r for r in rows if not few or len(r["devices"]) == few]
@@ -138,9 +140,14 @@ def page() -> str:
     )
     for name, title, make in sections:
         record = load(name)
-        if record is not None:
-            parts += [f"## {title}", make(record), made_by(record)]
+        if record is not None and (body := make(record)):
+            parts += [f"## {title}", body, made_by(record)]
     return "\n\n".join(parts) + "\n"
+
+
+def clips(rows: Rows) -> str:
+    """How many clips the rows are of."""
+    return str(len({r["clip"] for r in rows}))
 
 
 def summary() -> str:
@@ -151,13 +158,14 @@ def summary() -> str:
     if split:
         kept = [r for r in split["rows"] if r["noise"] == "realistic"]
         order = ("mean-pose", "nearest-pose", "sop", "sip", "sip+calibration")
-        rows += means([r for m in order for r in kept if r["method"] == m], "method", names)
+        found = means([r for m in order for r in kept if r["method"] == m], "method", names)
+        rows += [[*line, clips(kept)] for line in found]
     if methods:
         fresh = [
             r for r in methods["rows"]["dip"] if r["method"] not in ("mean-pose", "nearest-pose")
         ]
-        rows += means(fresh, "method", names)
-    return table(("test split, six noisy sensors", *names), rows) + "\n"
+        rows += [[*line, clips(fresh)] for line in means(fresh, "method", names)]
+    return table(("test split, six noisy sensors", *names, "clips"), rows) + "\n"
 
 
 def main() -> int:
