@@ -81,7 +81,7 @@ def belief(name: str, path: Path, window: Recording) -> PoseBelief:
     """What a network says of every frame of `window`, and how sure it is; path: where it came from."""
     import sip
 
-    if name == "imuposer":
+    if not learned.specification(name).needs_all:
         from poser.estimators import everyday
 
         window = window.select(everyday(name, window.sensors, window))
