@@ -12,6 +12,8 @@ from sip.horizon import HorizonState
 from sip.kinematics import BODY
 from sip.terms.arrival import of_constants
 
+SHARE = 0.5  # of the window's cost, under which the other valley is the right one
+
 
 def rival(horizon: Horizon, state: HorizonState) -> HorizonState | None:
     """The window as it would be in the network's poses; None where the network has not spoken.
@@ -34,8 +36,13 @@ def rival(horizon: Horizon, state: HorizonState) -> HorizonState | None:
 
 
 def cheaper(horizon: Horizon, state: HorizonState, other: HorizonState) -> bool:
-    """Whether the other's frames alone cost less than these, without what has left the windows."""
-    return horizon.cost(_alone(horizon, other)) < horizon.cost(_alone(horizon, state))
+    """Whether the other's frames cost less than half of these, without what has left the windows.
+
+    In one valley both cost the same but for what the past has pulled these to, and changing from one to the
+    other forgets the past. Another valley that is the right one costs a fraction.
+    """
+    mine, others = (horizon.cost(_alone(horizon, s)) for s in (state, other))
+    return others < SHARE * mine
 
 
 def _alone(horizon: Horizon, state: HorizonState) -> HorizonState:
