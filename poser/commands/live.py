@@ -48,7 +48,8 @@ def add_arguments(parser: ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--sink", action="append", default=[], metavar="S",
-        help="FILE.npz, FILE.bvh, FILE.rrd, vmc:PORT, vrchat, lsl or viewer; may be repeated",
+        help="FILE.npz, FILE.bvh, FILE.glb, FILE.sto, FILE.trc, FILE.rrd, vmc:PORT, vrchat, lsl or viewer; "
+        "may be repeated",
     )  # fmt: skip
     parser.add_argument(
         "--list", action="store_true", help="show what is heard for --seconds (5), and end"
