@@ -14,12 +14,13 @@ from poser import estimators, options
 from poser.console import UsageError
 from poser.live import addresses, sources
 from poser.live.addresses import Address
-from poser.live.sources.protocol import Intake, Kind, Told
+from poser.live.sources.protocol import Intake, Kind, Told, Witness
 
 if TYPE_CHECKING:
     from mocap.calibration import PoseName
     from mocap.recording import RawRecording
     from poser.live.alignment import Constants, Watch
+    from poser.live.recorder import Recorder
     from poser.live.samples import Network
 
 
@@ -113,9 +114,7 @@ def _recorded(raw: RawRecording, args: Namespace, network: str) -> tuple[str, ..
 def _network(
     origin: Origin, args: Namespace, sensors: tuple[str, ...], where: Mapping[str, str]
 ) -> Network:
-    from poser import files
     from poser.live.assembler import Assembler
-    from poser.live.recorder import Recorder
     from poser.live.samples import Network
 
     kind = origin.kind
@@ -125,17 +124,27 @@ def _network(
     own = {"own": True, "shared": False}.get(args.headings, kind.own_headings)
     tracker = _tracker(args)
     table, watch = _alignment(args, sensors, own, kind)
-    recorder = None
-    if args.record is not None:
-        files.check_output(args.record, [Path(args.source)], (".npz",))
-        names = tuple(place or device for device, place in where.items())
-        recorder = Recorder(args.record, names, args.rate, own)
     buffer = kind.buffer_s if args.buffer is None else args.buffer
     assembler = Assembler(tuple(where), args.rate, buffer)
     found = intake(kind, origin, args, sensors)
+    recorder = None if args.record is None else _recorder(args, kind, found, where, own)
     return Network(
         found, assembler, sensors, where, table, watch, tracker, args.seconds, recorder=recorder
     )
+
+
+def _recorder(
+    args: Namespace, kind: Kind, devices: Intake, where: Mapping[str, str], own: bool
+) -> Recorder:
+    from mocap.skeleton import Skeleton
+    from poser import files
+    from poser.live.recorder import Recorder
+
+    files.check_output(args.record, [Path(args.source)], (".npz",))
+    names = tuple(place or device for device, place in where.items())
+    bones = calibration(args, kind) == "bones" and not args.devices
+    body = Skeleton.default(args.height) if bones and isinstance(devices, Witness) else None
+    return Recorder(args.record, names, args.rate, own, bones, body)
 
 
 def _worn(args: Namespace, network: str) -> tuple[str, ...]:

@@ -19,7 +19,7 @@ from poser.live.assembler import Assembler, Row
 from poser.live.devices import Tracker
 from poser.live.receiver import Clock
 from poser.live.recorder import Recorder
-from poser.live.sources.protocol import Intake
+from poser.live.sources.protocol import Intake, Witness
 
 IDLE_S = 0.002  # the longest wait for something to happen, so that rows leave on time
 MOST_UNKNOWN = 3  # names of unknown devices that are kept: senders choose them, and never end
@@ -143,7 +143,7 @@ class Network:
     where: the place of each device; a device that is not in it is refused. table: see
     `alignment.to_sample`. watch: stands between: no sample before it has found the pose, and its
     calibration is the table then. tracker: tells instead of `where` which devices are worn, and where.
-    seconds: end so long after `open`. recorder: keeps the rows as they come, before any calibration.
+    seconds: end so long after `open`. recorder: keeps the rows as they come.
     """
 
     def __init__(
@@ -197,8 +197,16 @@ class Network:
             self._end_s = min(self._end_s, self._clock() + self._assembler.delay_s)
         rows = self._assembler.pull(self._clock())
         if self._recorder is not None:
-            self._recorder.take(rows)
+            self._recorder.take(rows, self._whole)
         return [s for s in map(self._sample, rows) if s is not None]
+
+    def _whole(self, time_s: float) -> tuple[Array, Array] | None:
+        """The pose as the devices' maker has it at a row's time."""
+        name = self._assembler.devices[0]
+        at = self._assembler.device_time(name, time_s)
+        if at is None or not isinstance(self._intake, Witness):
+            return None
+        return self._intake.pose(name, at)
 
     def _refuse(self, device: str) -> None:
         self._intake.rejected["device unknown"] += 1
