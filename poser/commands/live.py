@@ -126,7 +126,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def run(args: Namespace) -> int:
     from mocap.skeleton import Skeleton
-    from poser.live import loop, opening, telling
+    from poser.live import asking, loop, opening, telling
 
     origin = opening.origin(args.source)
     if args.list:
@@ -151,6 +151,7 @@ def run(args: Namespace) -> int:
         source.open()
         begun = True
         _announce(args, origin, source, network, sinks)
+        asking.offer(source, sinks)
         loop.run(source, estimator, sinks, skeleton, report, telling.Teller(source, sinks).tell)
     finally:
         loop.close(source, sinks, report)
