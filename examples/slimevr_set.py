@@ -1,7 +1,7 @@
 """A set of SlimeVR trackers that is not there: six boards that replay the built-in motion over UDP.
 
 Once poser has met them all, they stand for twelve seconds, walk, then do the built-in motion, over and over.
-Each board has its own mounting and heading. Start this; then in another terminal, with the map that it prints:
+Each board has its own mounting and heading. Start this; then in another terminal, with the map it prints:
 poser quickstart --source slimevr --map MAP
 Run: python examples/slimevr_set.py [--port 6969] [--seconds 600]
 """
