@@ -47,13 +47,18 @@ def offer(source: Source, sinks: Sequence[Sink]) -> None:
 
 def _at_terminal() -> bool:
     """Whether somebody can type: not where the program runs in the background of a terminal."""
-    if sys.stdin is None or not sys.stdin.isatty():
+    try:
+        if sys.stdin is None or not sys.stdin.isatty():
+            return False
+        if not hasattr(os, "tcgetpgrp"):
+            return True
+        if os.tcgetpgrp(sys.stdin.fileno()) != os.getpgrp():
+            return False
+    except (OSError, ValueError):
         return False
-    if not hasattr(os, "tcgetpgrp"):
-        return True
     # A program that is sent to the background later must not be stopped for its reading.
     signal.signal(signal.SIGTTIN, signal.SIG_IGN)
-    return os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
+    return True
 
 
 def _listen(keys: Mapping[str, str], ask: Ask) -> None:

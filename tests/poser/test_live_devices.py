@@ -128,7 +128,17 @@ def test_a_suit_s_session_needs_no_calibration_and_has_its_reference(
 
     thread = threading.Thread(target=send)
     thread.start()
-    words = ("live", "--source", f"mvn:{free_port}", "--method", "dip", "--seconds", 5)
+    words = (
+        "live",
+        "--source",
+        f"mvn:{free_port}",
+        "--method",
+        "dip",
+        "--seconds",
+        5,
+        "--buffer",
+        1.5,
+    )
     answer(*words, "--record", session)
     thread.join()
     kept = formats.read(session).content
