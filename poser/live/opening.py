@@ -134,8 +134,9 @@ def _network(
     assembler = Assembler(tuple(where), args.rate, buffer)
     found = intake(kind, origin, args, sensors)
     return Network(
-        found, assembler, sensors, where, table, watch, tracker, args.seconds, recorder=recorder
-    )
+        found, assembler, sensors, where, table, watch, tracker, args.seconds, recorder=recorder,
+        up=args.up,
+    )  # fmt: skip
 
 
 def _worn(args: Namespace, network: str) -> tuple[str, ...]:
