@@ -92,6 +92,17 @@ def squared(residual: Array) -> float:
     return 0.5 * float(r @ r)
 
 
+def add_pairs(band: Band, d: int, J: Array, weight: Array) -> None:
+    """Add sum_t J_{t+d}^T weight_t J_t to the d-th block diagonal.
+
+    J (T,...,c): derivatives of one quantity of each frame. weight (T-d,...,1): the product of what the two
+    frames of a pair have in the residuals that they share.
+    """
+    T, c = len(J), J.shape[-1]
+    left = (J[d:] * weight).reshape(T - d, -1, c)
+    band.blocks[: T - d, d] += np.swapaxes(left, 1, 2) @ J[: T - d].reshape(T - d, -1, c)
+
+
 def add_stencil(band: Band, jacobians: dict[int, Array], columns: slice) -> None:
     """Add sum_i (sum_o J_o[i])^T (...) for residual i with unknowns of frames i + o.
 

@@ -7,7 +7,7 @@ import numpy as np
 from mocap.orientation import Array
 from sip.soles import Soles
 from sip.solvers.band import Band
-from sip.terms.base import Point, add_stencil, squared
+from sip.terms.base import Point, add_pairs, squared
 
 
 class Contact:
@@ -39,12 +39,11 @@ class Contact:
         grad += (spread.reshape(T, 1, -1) @ J.reshape(T, spread[0].size, -1))[:, 0]
 
     def hessian(self, point: Point, band: Band) -> None:
-        J = self._slopes(point)
-        rows = J[0].shape[0] * 3
-        weight = self.weight[..., None]
-        flat = {o: c * (J[o : o + len(weight)] * weight) for o, c in ((0, -1.0), (1, 1.0))}
-        stacked = {o: a.reshape(len(weight), rows, -1) for o, a in flat.items()}
-        add_stencil(band, stacked, slice(None))
+        J, w2 = self._slopes(point), np.zeros((len(point.x) + 1, *self.weight.shape[1:], 1))
+        w2[1:-1] = self.weight[..., None] ** 2
+        # Residual t is w_t (J_{t+1} - J_t).
+        add_pairs(band, 0, J, w2[1:] + w2[:-1])
+        add_pairs(band, 1, J, -w2[1:-1])
 
     def _slopes(self, point: Point) -> Array:
         if self not in point.kept:
