@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from mocap import checked
 from mocap.errors import SolveError
 from mocap.motion import Motion
 from mocap.orientation import Array
@@ -45,7 +46,11 @@ def solve(
     Raises SolveError where no frame has a usable orientation, or the start or the belief is not of this
     length and rate.
     """
-    skeleton, settings = skeleton or Skeleton.default(), settings or Settings()
+    skeleton = Skeleton.default() if skeleton is None else skeleton
+    settings = Settings() if settings is None else settings
+    checked.instance(recording, Recording, "solve: recording", SolveError)
+    checked.instance(skeleton, Skeleton, "solve: skeleton", SolveError)
+    checked.instance(settings, Settings, "solve: settings", SolveError)
     if not recording.ori_valid.any():
         raise SolveError("the recording has no valid orientation of any sensor in any frame")
     began = time.perf_counter()

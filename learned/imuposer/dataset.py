@@ -83,6 +83,8 @@ def _field(path: Path, data: dict[str, Any], name: str) -> Array:
     # A view may declare more numbers than the file holds.
     if value.numel() * value.element_size() > value.untyped_storage().nbytes():
         raise FormatError(path, f"declares {shape}, more than the file holds", where)
+    if value.is_meta:
+        raise FormatError(path, "has a shape, but no numbers (torch's device meta)", where)
     width = WIDTHS[name]
     if value[:1].numel() != width and len(value):
         raise FormatError(path, f"is {shape}, expected (N, {width})", where)

@@ -17,7 +17,7 @@ from mocap import orientation as ori
 from mocap.errors import FormatError
 from mocap.formats import Document, Options
 from mocap.orientation import Array
-from mocap.recording import gaps
+from mocap.recording import RawRecording, Recording, gaps
 
 Names = tuple[str, ...]
 ROTATION_TOLERANCE = 0.02  # text files round to 3 or 4 decimals
@@ -88,6 +88,15 @@ def gap_report(valid: NDArray[np.bool_], sensors: Names) -> list[str]:
         f"{int((~valid).sum())} of {valid.size} samples are missing or not finite "
         f"({_by_sensor(~valid, sensors)}), the longest gap {longest} frames"
     ]
+
+
+def rotation_report(rec: RawRecording | Recording) -> list[str]:
+    """One warning for the samples that are taken for missing since their orientation is no rotation."""
+    counts = rec.no_rotation
+    if counts is None or not counts.any():
+        return []
+    each = ", ".join(f"{n} {k}" for n, k in zip(rec.sensors, counts, strict=True) if k)
+    return [f"{int(counts.sum())} samples hold no rotation and are taken for missing ({each})"]
 
 
 def half_report(half: NDArray[np.bool_], sensors: Names, what: str) -> list[str]:

@@ -28,7 +28,7 @@ from mocap.calibration.measures import (
 from mocap.calibration.words import sentence
 from mocap.errors import FormatError
 from mocap.formats import Options
-from mocap.formats._checks import gap_report, half_report
+from mocap.formats._checks import gap_report, half_report, rotation_report
 from mocap.orientation import GRAVITY, Array
 from mocap.recording import RawRecording, Recording
 from mocap.seats import second_difference, sensor_positions
@@ -52,7 +52,7 @@ def factors(options: Options) -> tuple[float, float]:
 
 def raw(path: Path, rec: RawRecording) -> list[str]:
     """Warnings on a raw recording; raises FormatError where units or axes contradict gravity."""
-    doubts = gap_report(rec.valid, rec.sensors) + _absent(rec)
+    doubts = rotation_report(rec) + gap_report(rec.valid, rec.sensors) + _absent(rec)
     evidence = gather(rec)
     rec = evidence.raw
     doubts += [sentence(f) for f in spikes.check(evidence)]
@@ -249,6 +249,7 @@ def missing(rec: Recording) -> list[str]:
     half = rec.valid & ~rec.acc_valid & rec.acc_valid.any(axis=0)
     half[[0, -1]] = False
     return [
+        *rotation_report(rec),
         *gap_report(rec.valid, rec.sensors),
         *half_report(rec.valid & ~rec.ori_valid, rec.sensors, "orientation"),
         *half_report(half, rec.sensors, "acceleration"),

@@ -130,7 +130,15 @@ def _network(
     found = intake(kind, origin, args, sensors)
     recorder = None if args.record is None else _recorder(args, kind, found, where, own)
     return Network(
-        found, assembler, sensors, where, aligner, tracker, args.seconds, recorder=recorder
+        found,
+        assembler,
+        sensors,
+        where,
+        aligner,
+        tracker,
+        args.seconds,
+        recorder=recorder,
+        up=args.up,
     )
 
 

@@ -11,6 +11,7 @@ from typing import Any, Protocol, runtime_checkable
 
 from mocap.calibration import Calibration
 from poser.console import complain, say, table
+from poser.live import sender_words
 from poser.live.loop import Report
 from poser.live.samples import MOST_UNKNOWN, Network, Source
 from poser.live.sinks.protocol import Sink
@@ -48,6 +49,7 @@ class Teller:
         self._checked: Calibration | None = None
         self._trouble = ""
         self._doubled: set[str] = set()
+        self._doubts = 0
 
     def tell(self, report: Report) -> None:
         now = self._clock()
@@ -58,6 +60,7 @@ class Teller:
             self._lead(self._source)
             self._check(self._source)
             self._double(self._source)
+            self._doubt(self._source)
             if now - self._began >= PATIENCE_S:
                 self._ask(self._source)
         if not (self._terminal or self._listeners):
@@ -94,6 +97,12 @@ class Teller:
                 self._complain(
                     f"a second sender calls itself {name}: the first one is heard, until it falls silent"
                 )
+
+    def _doubt(self, source: Network) -> None:
+        """What the senders do wrong, each once."""
+        for finding in source.doubts[self._doubts :]:
+            self._complain(f"{finding.severity}: {sender_words.sentence(finding)}")
+        self._doubts = len(source.doubts)
 
     def _lead(self, source: Network) -> None:
         """Where no line counts the seconds down: a sentence for each thing that the wearer is to do, behind
