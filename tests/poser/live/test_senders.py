@@ -17,6 +17,7 @@ from mocap.motion import Motion
 from mocap.recording import RawRecording
 from mocap.synthesis import motions
 from poser.live import packets, sender_words
+from poser.live.aligner import Aligner
 from poser.live.alignment import PoseWatch
 from poser.live.assembler import Assembler
 from poser.live.heard import Heard
@@ -109,7 +110,7 @@ def run(
     watch = PoseWatch(raw.sensors, RATE, "n", begin_s=2.0, give_up_s=4.0) if waits else None
     box, where = Assembler(raw.sensors, RATE), {n: n for n in raw.sensors}
     source = Network(
-        wire, box, raw.sensors, where, watch=watch, clock=lambda: wire.now, up=up
+        wire, box, raw.sensors, where, Aligner(watch=watch), clock=lambda: wire.now, up=up
     )  # fmt: skip
     source.open()
     try:
