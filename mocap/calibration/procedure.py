@@ -30,12 +30,12 @@ from mocap.calibration.evidence import Evidence, Held, gather
 from mocap.calibration.pose_facing import OtherPose, PoseName
 from mocap.calibration.record import Calibration, Source, turned
 from mocap.calibration.static_pose import StaticPose, Window, average, find_static
-from mocap.calibration.words import summary
 from mocap.errors import CalibrationError
 from mocap.findings import Finding
 from mocap.orientation import Array
 from mocap.recording import RawRecording, Recording
 from mocap.stances import ARM_ANGLE_DEG, pose_bones
+from mocap.words import summary
 
 Orientation = Literal["auto", "file", "vqf"]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mocap import orientation as ori
+from mocap.findings import Finding, assumption, doubt
 from mocap.formats._frames import (
     SIDES,
     SNAP_DEG,
@@ -35,16 +36,13 @@ def from_geometry(source: Source, roles: Roles, U: Array) -> Neutral:
     """
     G, p = source.forward
     F: dict[int, Array] = {}
-    doubts: list[str] = []
+    doubts: list[Finding] = []
 
     def snap(i: int, F_i: Array, within: float = SNAP_DEG) -> Array:
         near, off = snapped(F_i)
         if off <= within:
             return near
-        doubts.append(
-            f"the local axes of {source.names[i]} lie {off:.0f} deg off the body's, so its twist is "
-            f"that of the mean posture"
-        )
+        doubts.append(doubt("axes-aslant", joint=source.names[i], off_deg=off))
         return F_i
 
     F[0] = snap(roles.joint[0], _trunk_frame(source, roles, roles.joint[0], ("hip", "hip")))
@@ -75,11 +73,7 @@ def from_geometry(source: Source, roles: Roles, U: Array) -> Neutral:
         like = _like(G[:, i], above)
         near, off = snapped(like)
         F[j] = near if off < NEAR_DEG else like
-    said = (
-        "zero rotations are no rest pose: each joint's axes are found from the bones' geometry and the "
-        "hinges of knees and elbows"
-    )
-    return Neutral(U, F, F_spine, (said,), tuple(doubts))
+    return Neutral(U, F, F_spine, (assumption("axes-by-geometry"),), tuple(doubts))
 
 
 def _standing_foot(source: Source, roles: Roles, j: int, U: Array) -> Array:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mocap import orientation as ori
+from mocap.findings import Finding, doubt
 from mocap.orientation import Array
 from mocap.recording import Bool, gaps
 
@@ -22,14 +23,14 @@ LONGEST_S = 0.25
 
 @dataclass(frozen=True, eq=False)
 class Mended:
-    """Values without holes of the frames `kept` of the file, and what was done, in words.
+    """Values without holes of the frames `kept` of the file, and what was done.
 
-    Where too little would be left, the values as they were, of all frames, and nothing in words.
+    Where too little would be left, the values as they were, of all frames, and nothing done.
     """
 
     values: Array
     kept: slice
-    notes: tuple[str, ...] = ()
+    notes: tuple[Finding, ...] = ()
 
 
 def rotations(R: Array, rate_hz: float) -> Mended:
@@ -79,16 +80,14 @@ def _holes(whole: Bool) -> list[tuple[int, int]]:
     return [(g["start"], g["frames"]) for g in gaps(whole[:, None])]
 
 
-def _notes(whole: Bool, kept: slice) -> tuple[str, ...]:
+def _notes(whole: Bool, kept: slice) -> tuple[Finding, ...]:
     said = []
     cut = [(0, kept.start), (kept.stop, len(whole))]
-    ends = " and ".join(f"{a} to {b - 1}" for a, b in cut if b > a)
+    ends = [[a, b - 1] for a, b in cut if b > a]
     if ends:
-        said.append(f"frames {ends} of {len(whole)} are cut off: the reference has a hole there")
+        said.append(doubt("hole-cut", cut=ends, of=len(whole)))
     inside = _holes(whole[kept])
     if inside:
-        said.append(
-            f"{sum(n for _, n in inside)} poses of the reference are not finite: bridged, the longest "
-            f"hole {max(n for _, n in inside)} frames"
-        )
+        lengths = [n for _, n in inside]
+        said.append(doubt("hole-bridged", poses=sum(lengths), longest_frames=max(lengths)))
     return tuple(said)

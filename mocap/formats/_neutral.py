@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from mocap import orientation as ori
+from mocap.findings import assumption
 from mocap.formats import _rigs, _upright
 from mocap.formats._frames import (
     SIDES,
@@ -35,11 +36,10 @@ def find(source: Source, roles: Roles, up: _upright.Up | None = None) -> Neutral
     if rig is None:
         return found
     frames = {j: F for j, F in rig.frames().items() if j in roles.joint}
-    said = (*found.assumptions, rig.said)
     return replace(
         found,
         F=found.F | frames,
-        assumptions=said,
+        assumed=(*found.assumed, assumption(rig.code)),
         own_limbs=rig.own_limbs,
         t_pose_frames=rig.t_pose_frames,
     )
@@ -55,8 +55,7 @@ def of_pose(source: Source, roles: Roles, up: _upright.Up | None = None) -> Neut
     U = _up(source, roles, Q) if up is None else _upright.world(up)
     if Q is not None and _is_standing(source.rest @ Q, roles):
         F = {j: Q @ S for j, S in _straightened(source.rest @ Q, roles).items() if j in roles.joint}
-        said = "zero rotations are the rest pose, and its straightened limbs are our T-pose"
-        return Neutral(U, F, (Q,) * len(roles.spine), (said,))
+        return Neutral(U, F, (Q,) * len(roles.spine), (assumption("rest-pose"),))
     G, p = source.forward
     if is_t_pose(p[0] @ U.T, roles, tolerance_deg=20.0):
         left = (p[0] @ U.T)[[roles.joint[INDEX["left_hip"]], roles.joint[INDEX["right_hip"]]]]
@@ -65,8 +64,7 @@ def of_pose(source: Source, roles: Roles, up: _upright.Up | None = None) -> Neut
         S = _straightened(p[0] @ Q0, roles)
         F = {j: G[0, i].T @ Q0 @ S[j] for j, i in roles.joint.items()}
         spine = tuple(G[0, i].T @ Q0 for i in roles.spine)
-        said = "frame 0 is a T-pose and gives each joint's rest orientation"
-        return Neutral(U, F, spine, (said,))
+        return Neutral(U, F, spine, (assumption("t-pose-first"),))
     return from_geometry(source, roles, U)
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from mocap.errors import FormatError, ShapeError
+from mocap.findings import assumption
 from mocap.formats import Content, Document, Format, Options, _bvh_profiles, _joint_names
 from mocap.formats._bvh_profiles import PROFILES, RESTS, Profile, Rest
 from mocap.formats._bvh_text import BvhFile, parse
@@ -54,11 +55,12 @@ def read(path: Path, options: Options) -> Document:
     own = _own_rest(file)
     if own is not None:
         motion = _read_own(path, file, rate, own)
-        return Document("bvh", motion, file.assumptions, file.warnings)
+        return Document("bvh", motion, file.assumed, file.doubts)
     source = _source(path, file, rate, options)
     done = retarget(source, _body(options), options.scale, options.up)
-    assumed = (*file.assumptions, *done.assumptions, _joint_names.said(source.given))
-    return Document("bvh", done.motion, assumed, (*file.warnings, *done.warnings))
+    named = assumption("joint-names", joints=dict(source.given))
+    assumed = (*file.assumed, *done.assumed, named)
+    return Document("bvh", done.motion, assumed, (*file.doubts, *done.doubts))
 
 
 def _body(options: Options) -> Skeleton:

@@ -71,7 +71,7 @@ class Teller:
         """Once the pose was found: what the calibration rests on, and what is doubtful about it."""
         if self._checked or source.calibration is None:
             return
-        from mocap.calibration import words
+        from mocap import words
 
         self._checked = True
         found = source.calibration
