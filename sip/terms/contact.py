@@ -6,18 +6,17 @@ import numpy as np
 
 from mocap.orientation import Array
 from sip.soles import Soles
-from sip.solvers.band import Band
-from sip.terms.base import Point, add_stencil, squared
+from sip.terms.base import Point, Stencil, Term
 
 
-class Contact:
+class Contact(Term):
     """Residual (T-1,P,3) in sigmas: velocity of the sole's points over sigma (m/s), weighted by the belief
     w (T-1,P) that each stands, which is that of the pose the solve came from (`sip.soles.standing`).
 
     Nothing is said about where the ground lies: a stance on a stair or a chair is one like any other.
     """
 
-    name, reach, constant = "contact", 1, False
+    name, reach = "contact", 1
 
     def __init__(self, soles: Soles, stands: Array, sigma: float, rate_hz: float):
         self.soles = soles
@@ -26,27 +25,9 @@ class Contact:
     def residual(self, point: Point) -> Array:
         return np.diff(self.soles.places(point.x, point.R_ref), axis=0) * self.weight
 
-    def loss(self, residual: Array) -> float:
-        return squared(residual)
-
-    def pullback(self, point: Point, v: Array, grad: Array, grad_u: Array) -> None:
-        J = self._slopes(point)
-        v = v * self.weight
-        spread = np.zeros((len(J), *v.shape[1:]))
-        spread[1:] += v
-        spread[:-1] -= v
-        T = len(grad)
-        grad += (spread.reshape(T, 1, -1) @ J.reshape(T, spread[0].size, -1))[:, 0]
-
-    def hessian(self, point: Point, band: Band) -> None:
-        J = self._slopes(point)
-        rows = J[0].shape[0] * 3
-        weight = self.weight[..., None]
-        flat = {o: c * (J[o : o + len(weight)] * weight) for o, c in ((0, -1.0), (1, 1.0))}
-        stacked = {o: a.reshape(len(weight), rows, -1) for o, a in flat.items()}
-        add_stencil(band, stacked, slice(None))
-
-    def _slopes(self, point: Point) -> Array:
+    def stencil(self, point: Point) -> Stencil:
         if self not in point.kept:
             point.kept[self] = self.soles.evaluate(point.x, point.R_ref)[1]
-        return np.asarray(point.kept[self])
+        J = point.kept[self].reshape(len(point.x), 3 * self.soles.P, -1)
+        weight = np.repeat(self.weight, 3, axis=2).reshape(len(self.weight), -1)
+        return Stencil({0: -J[:-1], 1: J[1:]}, weight=weight)
