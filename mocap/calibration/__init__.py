@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mocap.exports import lazy
+from mocap.lazy_names import lazy
 from mocap.words import sentence, summary
 
 if TYPE_CHECKING:

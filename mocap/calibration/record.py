@@ -23,7 +23,7 @@ from mocap.recording import RawRecording, Recording
 from mocap.words import sentence
 
 SCHEMA = "poser-calibration/1"
-Source = Literal["file", "vqf"]
+OrientationSource = Literal["file", "vqf"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,7 @@ LONGEST_S = 0.25
 
 
 @dataclass(frozen=True, eq=False)
-class Mended:
+class Bridged:
     """Values without holes of the frames `kept` of the file, and what was done.
 
     Where too little would be left, the values as they were, of all frames, and nothing done.
@@ -33,22 +33,22 @@ class Mended:
     notes: tuple[Finding, ...] = ()
 
 
-def rotations(R: Array, rate_hz: float) -> Mended:
+def rotations(R: Array, rate_hz: float) -> Bridged:
     """R (T,K,3,3), NaN where missing, mended."""
     has = np.asarray(np.isfinite(R).all(axis=(-1, -2)), bool)
     whole = np.asarray(has.all(axis=1), bool)
     kept = _kept(whole, rate_hz)
     if whole.all() or kept is None:
-        return Mended(R, slice(0, len(R)))
+        return Bridged(R, slice(0, len(R)))
     out, known = R[kept].copy(), has[kept]
     times = np.arange(len(out))
     for j in np.flatnonzero(~known.all(axis=0)):
         ok = known[:, j]
         out[~ok, j] = ori.interpolate(times[ok], out[ok, j], times[~ok])
-    return Mended(out, kept, _notes(whole, kept))
+    return Bridged(out, kept, _notes(whole, kept))
 
 
-def poses(values: Array, rate_hz: float) -> Mended:
+def poses(values: Array, rate_hz: float) -> Bridged:
     """SMPL axis-angle (T,72) rad, NaN where missing, mended; what is there stays to the last digit."""
     w = values.reshape(len(values), -1, 3)
     has = np.asarray(np.isfinite(w).all(axis=-1), bool)
@@ -57,7 +57,7 @@ def poses(values: Array, rate_hz: float) -> Mended:
     found = rotations(R, rate_hz)
     out, known = w[found.kept].copy(), has[found.kept]
     out[~known] = ori.log(found.values[~known])
-    return Mended(out.reshape(len(out), -1), found.kept, found.notes)
+    return Bridged(out.reshape(len(out), -1), found.kept, found.notes)
 
 
 def _kept(whole: Bool, rate_hz: float) -> slice | None:

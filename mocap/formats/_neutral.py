@@ -23,14 +23,14 @@ from mocap.formats._frames import (
     unit,
 )
 from mocap.formats._geometry import from_geometry
-from mocap.formats._source import INDEX, Roles, Source
+from mocap.formats._source import INDEX, ForeignMotion, Roles
 from mocap.orientation import Array
 from mocap.skeleton import JOINTS
 
 NEAR_T_DEG = 10.0  # a limb that lies nearer to the T-pose is in it: rigs place joints by so much
 
 
-def find(source: Source, roles: Roles, up: _upright.Up | None = None) -> Neutral:
+def find(source: ForeignMotion, roles: Roles, up: _upright.Up | None = None) -> Neutral:
     """The neutral frames of a source: of its pose, and what is known of its rig beyond that."""
     found, rig = of_pose(source, roles, up), _rigs.known(source)
     if rig is None:
@@ -45,7 +45,7 @@ def find(source: Source, roles: Roles, up: _upright.Up | None = None) -> Neutral
     )
 
 
-def of_pose(source: Source, roles: Roles, up: _upright.Up | None = None) -> Neutral:
+def of_pose(source: ForeignMotion, roles: Roles, up: _upright.Up | None = None) -> Neutral:
     """The neutral frames that a source's poses show.
 
     In this order: zero rotations, if the limbs then point as in a T-, A- or N-pose; frame 0, if it is
@@ -125,7 +125,7 @@ def _body_axes(p: Array, roles: Roles, snap: bool) -> Array | None:
     return snapped(B)[0] if snap else B
 
 
-def _up(source: Source, roles: Roles, Q: Array | None) -> Array:
+def _up(source: ForeignMotion, roles: Roles, Q: Array | None) -> Array:
     """U (3,3): turns the source's up axis to y.
 
     y is up wherever the rest pose or the mean posture says so, as BVH has it; another axis needs both.

@@ -31,7 +31,7 @@ from mocap.findings import Finding, assumption, doubt
 from mocap.formats import _neutral, _upright
 from mocap.formats._frames import STRAIGHT, T_POSE_FRAMES, Neutral, minimal_rotation, unit
 from mocap.formats._neutral import straightening
-from mocap.formats._source import INDEX, Roles, Source, assign
+from mocap.formats._source import INDEX, ForeignMotion, Roles, assign
 from mocap.motion import Motion
 from mocap.orientation import Array
 from mocap.skeleton import JOINTS, PARENTS, SOLE_BELOW_TOE, Skeleton
@@ -53,7 +53,10 @@ class Retargeted:
 
 
 def retarget(
-    source: Source, skeleton: Skeleton, scale: float | None = None, up: _upright.Up | None = None
+    source: ForeignMotion,
+    skeleton: Skeleton,
+    scale: float | None = None,
+    up: _upright.Up | None = None,
 ) -> Retargeted:
     """The source's motion on `skeleton`.
 
@@ -81,7 +84,7 @@ def retarget(
     return Retargeted(motion, tuple(said), tuple(doubts))
 
 
-def _rotations(source: Source, roles: Roles, neutral: Neutral, skeleton: Skeleton) -> Array:
+def _rotations(source: ForeignMotion, roles: Roles, neutral: Neutral, skeleton: Skeleton) -> Array:
     """R_world_joint (T,24,3,3)."""
     G, p = source.forward
     R = np.empty((len(source), 24, 3, 3))
@@ -123,7 +126,9 @@ def _between(R: list[Array], at: float) -> Array:
     return R[k] @ ori.exp(s * ori.log(np.swapaxes(R[k], -1, -2) @ R[k + 1]))
 
 
-def _root_path(source: Source, roles: Roles, U: Array, R: Array, skeleton: Skeleton) -> Array:
+def _root_path(
+    source: ForeignMotion, roles: Roles, U: Array, R: Array, skeleton: Skeleton
+) -> Array:
     """p_world_root (T,3) m: the hips' middle follows the source's, scaled; lowest foot on the floor."""
     hips = [INDEX["left_hip"], INDEX["right_hip"]]
     middle = source.forward[1][:, [roles.joint[h] for h in hips]].mean(axis=1) @ U.T
@@ -146,7 +151,9 @@ def _leg(rest: Array, joint: dict[int, int]) -> float:
     return total
 
 
-def _unit(source: Source, roles: Roles, scale: float | None) -> tuple[Finding, list[Finding]]:
+def _unit(
+    source: ForeignMotion, roles: Roles, scale: float | None
+) -> tuple[Finding, list[Finding]]:
     """What is assumed of the file's unit, and doubts. The unit cancels in the scaled path."""
     leg = _leg(source.rest, roles.joint)
     body = Skeleton.default()
@@ -168,7 +175,7 @@ def _unit(source: Source, roles: Roles, scale: float | None) -> tuple[Finding, l
     return assumption("unit-guessed", unit=name, stature_m=stature), odd
 
 
-def _starts_with_t_pose(source: Source, roles: Roles, U: Array) -> bool:
+def _starts_with_t_pose(source: ForeignMotion, roles: Roles, U: Array) -> bool:
     """Whether frame 0 is a T-pose that the motion leaves in one jump.
 
     A person cannot turn a limb from rest at `JUMP_DEG_S`, so such a frame was put in by a tool. Files
@@ -186,7 +193,7 @@ def _starts_with_t_pose(source: Source, roles: Roles, U: Array) -> bool:
     return _neutral.is_t_pose(p[0] @ U.T, roles, tolerance_deg=30.0)
 
 
-def _moving_bones(source: Source, roles: Roles) -> list[Finding]:
+def _moving_bones(source: ForeignMotion, roles: Roles) -> list[Finding]:
     """Doubts about limb joints whose position channels change the bone's length."""
     leg = _leg(source.rest, roles.joint)
     inside = {i for j, i in roles.joint.items() if j}

@@ -15,7 +15,7 @@ import numpy as np
 
 from mocap import orientation as ori
 from mocap.formats._frames import T_POSE_FRAMES
-from mocap.formats._source import INDEX, Source
+from mocap.formats._source import INDEX, ForeignMotion
 from mocap.orientation import Array
 
 _NEAR_DEG = 1.0
@@ -40,7 +40,7 @@ class Rig:
     own_limbs: bool = True
     t_pose_frames: int = T_POSE_FRAMES
 
-    def fits(self, source: Source) -> bool:
+    def fits(self, source: ForeignMotion) -> bool:
         """Whether the source is this rig, whatever its unit of length."""
         if not set(self.bones) <= set(source.names):
             return False
@@ -62,7 +62,7 @@ class Rig:
         return {INDEX[n]: ori.exp(np.radians(v)) for n, v in self.F.items()}
 
 
-def known(source: Source) -> Rig | None:
+def known(source: ForeignMotion) -> Rig | None:
     """The rig of a source, if it is one of `RIGS`."""
     return next((rig for rig in RIGS if rig.fits(source)), None)
 

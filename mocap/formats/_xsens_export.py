@@ -45,7 +45,7 @@ SHORTEST_US = (
 
 
 @dataclass(frozen=True, eq=False)
-class Export:
+class SensorExport:
     """One file. device: its tag, or "". rate_hz: stated, or None. dot: whether a DOT's.
 
     packets (N,), seconds (N,) on the device's clock: None where the file lacks them. columns: acc, free,
@@ -108,7 +108,7 @@ def _plain(cells: list[str] | tuple[str, ...]) -> list[str]:
     return [c.replace(" ", "").lower() for c in cells]
 
 
-def read(path: Path) -> Export:
+def read(path: Path) -> SensorExport:
     """The export in a file. Raises FormatError naming the column or line that is missing or no number."""
     table = _delimited.open_table(path, known, "PacketCounter, Acc_X or Quat_q0")
     names = _plain(table.header)
@@ -132,7 +132,7 @@ def read(path: Path) -> Export:
     packets, time = columns.pop("packet", None), columns.pop("time", None)
     seconds = None if time is None else _seconds(time[:, 0], dot)
     counter = None if packets is None else packets[:, 0]
-    return Export(path, tag, rate, dot, counter, seconds, columns)
+    return SensorExport(path, tag, rate, dot, counter, seconds, columns)
 
 
 def _groups(

@@ -20,7 +20,7 @@ from mocap.formats import Document, Format, Options, _checks
 from mocap.formats._asf_text import ROTATIONS, AmcFile, AsfFile, Bone, parse_amc, parse_asf
 from mocap.formats._bvh_text import euler
 from mocap.formats._retarget import retarget
-from mocap.formats._source import Source, assign, needed
+from mocap.formats._source import ForeignMotion, assign, needed
 from mocap.motion import check_rate
 from mocap.orientation import Array
 from mocap.skeleton import Skeleton
@@ -79,7 +79,7 @@ def find_asf(path: Path) -> Path:
     raise FormatError(path, f"needs its skeleton {prefix}.asf in the same folder, found {found}")
 
 
-def _source(path: Path, asf: AsfFile, amc: AmcFile, rate: float, options: Options) -> Source:
+def _source(path: Path, asf: AsfFile, amc: AmcFile, rate: float, options: Options) -> ForeignMotion:
     """The skeleton as joints: each sits where its bone starts; a bone without children has an end."""
     values = amc.values
     T = len(next(iter(values.values())))
@@ -100,7 +100,7 @@ def _source(path: Path, asf: AsfFile, amc: AmcFile, rate: float, options: Option
     given = options.mapping if isinstance(options.mapping, dict) else {}
     if {"lhand", "lwrist", "lradius"} <= set(names) and not given:
         given = CMU_HANDS
-    whole = Source(
+    whole = ForeignMotion(
         path,
         rate,
         tuple(names),

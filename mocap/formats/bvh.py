@@ -18,7 +18,7 @@ from mocap.formats._bvh_profiles import PROFILES, RESTS, Profile, Rest
 from mocap.formats._bvh_text import BvhFile, parse
 from mocap.formats._files import write_aside
 from mocap.formats._retarget import retarget
-from mocap.formats._source import Source, assign, needed
+from mocap.formats._source import ForeignMotion, assign, needed
 from mocap.motion import Motion, check_rate
 from mocap.orientation import Array
 from mocap.skeleton import JOINTS, PARENTS, REST, STATURE_RANGE, Skeleton
@@ -69,7 +69,7 @@ def _body(options: Options) -> Skeleton:
     return Skeleton.from_smpl_file(options.smpl)
 
 
-def _source(path: Path, file: BvhFile, rate: float, options: Options) -> Source:
+def _source(path: Path, file: BvhFile, rate: float, options: Options) -> ForeignMotion:
     """The joints that matter, with their rotations computed."""
     given = options.mapping if isinstance(options.mapping, dict) else {}
     if not given and set(MOTIONBUILDER_HANDS) <= set(file.names):
@@ -77,7 +77,7 @@ def _source(path: Path, file: BvhFile, rate: float, options: Options) -> Source:
     moving = [
         i for i, j in enumerate(file.joints) if j.parent < 0 or set(j.channels) & set(_POSITIONS)
     ]
-    still = Source(
+    still = ForeignMotion(
         path,
         rate,
         file.names,

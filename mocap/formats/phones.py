@@ -27,7 +27,7 @@ from mocap.formats import (
     _physics,
     check_mapped,
 )
-from mocap.formats._phone_tables import App, Kind, Stream
+from mocap.formats._phone_tables import App, Quantity, Stream
 from mocap.orientation import Array
 from mocap.recording import RawRecording
 
@@ -49,7 +49,7 @@ class _Device:
 
     name: str
     app: App
-    streams: dict[Kind, Stream]
+    streams: dict[Quantity, Stream]
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +94,7 @@ def _tables(folder: Path) -> list[tuple[Path, App]]:
 
 def _device(name: str, files: list[Path]) -> _Device:
     """The device that these files, at least one, are of."""
-    streams: dict[Kind, Stream] = {}
+    streams: dict[Quantity, Stream] = {}
     app: App = "Sensor Logger"
     for path in files:
         with path.open("rb") as f:
@@ -125,7 +125,7 @@ def _device(name: str, files: list[Path]) -> _Device:
     return _Device(name, app, streams)
 
 
-def _has_gravity(streams: dict[Kind, Stream]) -> bool:
+def _has_gravity(streams: dict[Quantity, Stream]) -> bool:
     """Whether what is called free of gravity holds it all the same."""
     if "free" not in streams:
         return False
@@ -139,7 +139,7 @@ def _track(device: _Device) -> _Track:
     where = f"{base.path.name}, time"
     clock = _clock.grid(base.path, base.t - base.t[0], where)
     grid = float(base.t[0]) + np.arange(int(clock.frames[-1]) + 1) / clock.rate_hz
-    on: dict[Kind, Array] = {}
+    on: dict[Quantity, Array] = {}
     for kind, stream in streams.items():
         if len(stream.t) == len(base.t) and np.array_equal(stream.t, base.t):
             out = np.full((len(grid), stream.values.shape[1]), np.nan)
@@ -168,7 +168,7 @@ def _track(device: _Device) -> _Track:
     return _Track(clock.rate_hz, grid, force, gyr, on.get("mag"), R, said, list(clock.doubts))
 
 
-def _force(device: _Device, on: dict[Kind, Array], said: list[Finding]) -> tuple[Array, bool]:
+def _force(device: _Device, on: dict[Quantity, Array], said: list[Finding]) -> tuple[Array, bool]:
     """Acceleration (T,3) m/s^2 in the device's axes, of either sign, and whether it holds gravity."""
     if "force" in on:
         force, gravity = on["force"], True

@@ -26,7 +26,7 @@ from mocap.formats import (
     _physics,
     _xsens_export,
 )
-from mocap.formats._xsens_export import Export
+from mocap.formats._xsens_export import SensorExport
 from mocap.orientation import Array
 from mocap.recording import RawRecording
 
@@ -38,7 +38,7 @@ MAX_FILES = 64
 
 
 def _aligned(
-    path: Path, exports: list[Export], rate: float
+    path: Path, exports: list[SensorExport], rate: float
 ) -> tuple[list[_clock.Frames], list[Finding]]:
     """The frame of every row of every file on one clock, counted from the earliest, and doubts."""
     if all(e.dot and e.seconds is not None for e in exports):
@@ -60,7 +60,7 @@ def _aligned(
 
 
 def _by_time(
-    path: Path, exports: list[Export], rate: float
+    path: Path, exports: list[SensorExport], rate: float
 ) -> tuple[list[_clock.Frames], list[Finding]]:
     """By the clock that synchronised DOTs share; by their first rows where there is none."""
     stamps = [np.asarray(e.seconds) for e in exports]
@@ -78,7 +78,7 @@ def _by_time(
     ], doubts
 
 
-def _unwrapped(export: Export) -> Array:
+def _unwrapped(export: SensorExport) -> Array:
     packets = export.packets
     assert packets is not None
     bad = ~((packets >= 0) & (packets < 1e9) & (packets == np.floor(packets)))
@@ -126,7 +126,7 @@ def _files(folder: Path, prefix: str) -> tuple[list[Path], list[Finding]]:
     return found, [doubt("files-left-out", files=", ".join(others[:5]))] if others else []
 
 
-def _names(folder: Path, exports: list[Export]) -> list[str]:
+def _names(folder: Path, exports: list[SensorExport]) -> list[str]:
     """A name for each device: its tag, else its number in the file's name, else what the name has of its own.
 
     Raises FormatError where one device has several files, which are several trials.
@@ -167,7 +167,7 @@ def _head(path: Path) -> bytes:
         return f.read(4096)
 
 
-def _rate(path: Path, exports: list[Export], options: Options) -> tuple[float, list[Finding]]:
+def _rate(path: Path, exports: list[SensorExport], options: Options) -> tuple[float, list[Finding]]:
     """Samples per s: of the options, the headers or SampleTimeFine; and what was assumed."""
     if options.rate_hz:
         return options.rate_hz, []

@@ -181,14 +181,14 @@ def _where(args: Namespace, sensors: tuple[str, ...], kind: Kind) -> dict[str, s
 def _tracker(args: Namespace) -> Any:
     if not args.devices:
         return None
-    from poser.live.devices import Preferences, Tracker
+    from poser.live.devices import DeviceTracker, Preferences
 
     words = args.devices.split(",")
     if len(words) != 3 or not set(words) <= {"left", "right"}:
         raise UsageError(f"argument --devices: {args.devices!r} is not three times left or right")
     if args.map:
         raise UsageError("argument --devices: not with --map; devices are phone, watch and earbuds")
-    return Tracker(Preferences(*words), args.rate)  # type: ignore[arg-type]
+    return DeviceTracker(Preferences(*words), args.rate)  # type: ignore[arg-type]
 
 
 def _alignment(
@@ -196,7 +196,7 @@ def _alignment(
 ) -> tuple[Mapping[str, Constants] | None, Watch | None]:
     """The constants of a file, or who waits for the pose, or neither for bones."""
     from poser.live import alignment
-    from poser.live.headings import HeadingWatch, WalkWatch
+    from poser.live.device_headings import HeadingWatch, WalkWatch
 
     how = calibration(args, kind)
     if args.reset is not None and how in ("n", "t", "bones"):

@@ -16,8 +16,8 @@ from mocap.recording import Recording
 from poser.live import alignment
 from poser.live.alignment import Constants, Watch, to_sample
 from poser.live.assembler import Assembler, Row
-from poser.live.devices import Tracker
-from poser.live.receiver import Clock
+from poser.live.devices import DeviceTracker
+from poser.live.receiver import Now
 from poser.live.recorder import Recorder
 from poser.live.sources.protocol import Intake
 
@@ -74,14 +74,14 @@ class Source(Protocol):
     def close(self) -> None: ...
 
 
-class Replay:
+class RecordingSource:
     """The samples of a recording when they are due. speed: 2 is twice as fast, None as fast as asked."""
 
     def __init__(
         self,
         recording: Recording,
         speed: float | None = 1.0,
-        clock: Clock = time.monotonic,
+        clock: Now = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ):
         self.rate_hz, self._recording = recording.rate_hz, recording
@@ -154,9 +154,9 @@ class Network:
         where: Mapping[str, str],
         table: Mapping[str, Constants] | None = None,
         watch: Watch | None = None,
-        tracker: Tracker | None = None,
+        tracker: DeviceTracker | None = None,
         seconds: float | None = None,
-        clock: Clock = time.monotonic,
+        clock: Now = time.monotonic,
         recorder: Recorder | None = None,
     ):
         self.rate_hz, self.sensors = assembler.rate_hz, sensors

@@ -13,7 +13,7 @@ from mocap.motion import Motion
 from mocap.orientation import Array
 from mocap.skeleton import JOINTS, PARENTS, Skeleton
 from poser import files
-from poser.live.sinks.protocol import Kind, Sink, Told
+from poser.live.sinks.protocol import Sink, SinkKind, SinkOrder
 from poser.live.spool import Spool
 
 SUFFIXES = (".npz", ".bvh")
@@ -61,10 +61,10 @@ def _write(path: Path, head: Mapping[str, Any], rows: Array) -> None:
     files.write(path, Motion(head["rate_hz"], R, rows[:, -3:].astype(float), skeleton))
 
 
-def _make(told: Told) -> Sink:
+def _make(told: SinkOrder) -> Sink:
     path = Path(told.text)
     files.check_output(path, [], SUFFIXES)
     return MotionFile(path, told.rate_hz, told.skeleton)
 
 
-SINK = Kind("file", "FILE.npz, FILE.bvh", "a motion file, written at the end", _make, SUFFIXES)
+SINK = SinkKind("file", "FILE.npz, FILE.bvh", "a motion file, written at the end", _make, SUFFIXES)
