@@ -18,11 +18,12 @@ from mocap.skeleton import Skeleton
 from mocap.synthesis import motions
 from sip import PoseBelief, Settings, initial
 from sip.belief import Listener
-from sip.problem import build
+from sip.problem import build, grounded
 from sip.sensor_kinematics import SensorKinematics
 from sip.solvers.band import Band
 from sip.terms.acceleration import Acceleration
 from sip.terms.base import Point, Stencil, Term
+from sip.terms.contact import Contact
 from sip.terms.network import NetworkPose
 
 
@@ -47,7 +48,18 @@ def network(term: NetworkPose, point: Point) -> Stencil:
     return Stencil({0: np.swapaxes(L, 1, 2) @ J.reshape(T, 3 * a, 3 * a)}, term.columns)
 
 
-STENCILS: dict[str, Callable[..., Stencil]] = {"acceleration": acceleration, "network": network}
+def contact(term: Contact, point: Point) -> Stencil:
+    J = term._slopes(point)
+    J = J.reshape(len(J), 3 * term.soles.P, -1)
+    weight = np.repeat(term.weight, 3, axis=2).reshape(len(term.weight), -1)
+    return Stencil({0: -J[:-1], 1: J[1:]}, weight=weight)
+
+
+STENCILS: dict[str, Callable[..., Stencil]] = {
+    "acceleration": acceleration,
+    "contact": contact,
+    "network": network,
+}
 
 
 def plain(term: Term) -> Term:
@@ -75,6 +87,7 @@ def main() -> int:
         problem = build(recording, body, settings, kinematics, 0, listener.listen(recording, said))
         x, R_ref = initial.from_motion(truth, problem.prior)
         point = problem.point(x, R_ref, np.zeros((problem.S, 7)))
+        problem = grounded(problem, point)
         print(f"{len(recording)} frames, self-calibration {'on' if calibrating else 'off'}")
         for term in problem.terms:
             _time(problem, point, term, args.repeat)

@@ -95,7 +95,7 @@ class TrackerSettings:
     filter_noise: FilterNoise = field(default_factory=FilterNoise)
     horizon_s: float = 0.4
     lag: int | None = None
-    steps: int = 2
+    steps: int = 1
     budget_s: float | None = None
     horizon_memory_s: float = 0.8
     valley_s: float = 0.25

@@ -13,33 +13,33 @@ from sip.kinematics import BODY
 from sip.terms.arrival import of_constants
 
 
-class Valley:
-    """late: frames at the window's end that the network has not spoken of."""
+def rival(horizon: Horizon, state: HorizonState) -> HorizonState | None:
+    """The window as it would be in the network's poses; None where the network has not spoken.
 
-    def __init__(self, late: int, steps: int = 2) -> None:
-        self.late, self.steps = late, steps
+    What has left the window is a quadratic about poses of the valley that it has followed and would say
+    nothing else: it is forgotten where the valley is left.
+    """
+    evidence, point = state.evidence, state.point
+    assert evidence is not None and point is not None and evidence.belief is not None
+    belief = evidence.belief
+    told = np.flatnonzero(belief.scale.any(axis=1))
+    if not len(told):
+        return None
+    nearest = told[np.abs(told[:, None] - np.arange(len(state))).argmin(axis=0)]
+    R = belief.R[nearest][:, int(belief.root) :]
+    x = point.x.copy()
+    x[:, BODY] = ori.log(R).reshape(len(x), -1)
+    alone = _alone(horizon, state)
+    return replace(alone, point=horizon.problem(alone).point(x, point.R_ref, point.u), factor=None)
 
-    def cheaper(self, horizon: Horizon, state: HorizonState) -> HorizonState | None:
-        """The window in the network's valley where its frames alone cost less there, else None.
 
-        What has left the window is a quadratic about poses of the valley that it has followed and would say
-        nothing else: it counts on neither side, and is forgotten where the valley is left.
-        """
-        evidence, point = state.evidence, state.point
-        assert evidence is not None and point is not None and evidence.belief is not None
-        belief = evidence.belief
-        told = np.flatnonzero(belief.scale.any(axis=1))
-        if not len(told):
-            return None
-        nearest = told[np.abs(told[:, None] - np.arange(len(state))).argmin(axis=0)]
-        R = belief.R[nearest][:, int(belief.root) :]
-        x = point.x.copy()
-        x[:, BODY] = ori.log(R).reshape(len(x), -1)
-        g = horizon.model.border
-        sigma = np.tile(horizon.model.constants_sigma, horizon.kinematics.S)
-        fresh = of_constants(sigma, point.u, g, horizon.kinematics.n)
-        here = replace(state, arrival=fresh)
-        there = replace(here, point=horizon.problem(here).point(x, point.R_ref, point.u))
-        for _ in range(self.steps):
-            here, there = horizon.improved(here), horizon.improved(there)
-        return there if horizon.cost(there) < horizon.cost(here) else None
+def cheaper(horizon: Horizon, state: HorizonState, other: HorizonState) -> bool:
+    """Whether the other's frames alone cost less than these, without what has left the windows."""
+    return horizon.cost(_alone(horizon, other)) < horizon.cost(_alone(horizon, state))
+
+
+def _alone(horizon: Horizon, state: HorizonState) -> HorizonState:
+    assert state.point is not None
+    sigma = np.tile(horizon.model.constants_sigma, horizon.kinematics.S)
+    u, border = state.point.u, horizon.model.border
+    return replace(state, arrival=of_constants(sigma, u, border, horizon.kinematics.n))

@@ -13,12 +13,14 @@ import time
 from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
+from threadpoolctl import ThreadpoolController
 
+from hybrid import valley
 from hybrid.settings import TrackerSettings
-from hybrid.valley import Valley
 from mocap.errors import SolveError
 from mocap.estimator import Pose, Sample
 from mocap.orientation import Array
@@ -36,7 +38,14 @@ RESTED = "the window began anew from the network's poses"
 EVENTS = (FAILED, NO_TIME, TOO_SLOW, SHORTENED, RESTED)
 SLACK = 0.7  # share of the time under which a window may grow
 FAST, SLOW = 0.2, 0.02  # how quickly the mean of the frames' times follows them up, and down
+VALLEY_FRAMES = 4  # in which the window and the one in the network's valley take turns
 PAUSE_S = 1.0  # without a window, where the shortest one takes too long
+
+
+@cache
+def _libraries() -> ThreadpoolController:
+    """Those for linear algebra: their matrices are small here, and several threads slow them down."""
+    return ThreadpoolController()
 
 
 class WindowFailed(Exception):
@@ -50,8 +59,9 @@ class WindowState:
     solved: the window; empty at a start. times: s of its frames, oldest first. shift (3,) m: from its places
     to the path, None until a pose of it was given. size: frames that the machine has time for. frame_s: mean
     time of a frame of late. pause: frames to go without a window. steps, frames: taken so far.
-    waited: frames since the network's valley was last looked at. std_rad (24,3) of the poses, computed
-    std_age frames ago. shown: the poses given last, in the window's places, the last of them at shown_s.
+    waited: frames since the network's valley was last looked at. rival: the window in that valley, while
+    it is being looked at. std_rad (24,3) of the poses, computed std_age frames ago. shown: the poses given
+    last, in the window's places, the last of them at shown_s.
     """
 
     solved: HorizonState
@@ -63,6 +73,7 @@ class WindowState:
     steps: int = 0
     frames: int = 0
     waited: int = 0
+    rival: HorizonState | None = None
     std_rad: Array | None = None
     std_age: int = 0
     shown: Shown | None = None
@@ -94,7 +105,6 @@ class Window:
         self.most = max(self._longest.size, self.least)
         self._by_size: dict[int, Horizon] = {}
         self._beliefs = Beliefs(settings)
-        self._valley = Valley(late)
         self._valley_frames, self._deviation_frames = (
             max(1.0, s * rate_hz) for s in (settings.valley_s, settings.deviations_s)
         )
@@ -106,7 +116,13 @@ class Window:
     def restarted(self, state: WindowState) -> WindowState:
         """Nothing seen yet, on a machine that is known."""
         return replace(
-            state, solved=self._longest.init(), times=(), shift=None, shown=None, waited=0
+            state,
+            solved=self._longest.init(),
+            times=(),
+            shift=None,
+            shown=None,
+            waited=0,
+            rival=None,
         )
 
     def _of_size(self, size: int) -> Horizon:
@@ -133,11 +149,15 @@ class Window:
                 return state
         horizon = self._of_size(state.size)
         try:
-            solved = state.solved
-            for _ in range(len(solved) - state.size):
-                solved = horizon.without_oldest(solved)
-            state = self._entered(replace(state, solved=solved), horizon, sample, pose, counts)
-            state = self._improved(state, horizon, began)
+            if len(state.solved) > state.size:
+                solved = state.solved
+                for _ in range(len(solved) - state.size):
+                    solved = horizon.without_oldest(solved)
+                state = replace(state, solved=solved, rival=None)
+            with _libraries().limit(limits=1, user_api="blas"):
+                state = self._entered(state, horizon, sample, pose)
+                state = self._compared(state, horizon, counts)
+                state = self._improved(state, horizon, began)
         except (SolveError, ArithmeticError, np.linalg.LinAlgError, ValueError) as e:
             raise WindowFailed(FAILED) from e
         if (point := state.solved.point) is not None and not np.isfinite(point.x).all():
@@ -147,49 +167,66 @@ class Window:
         return self._timed(state, time.perf_counter() - began, self.settings.budget_s, counts)
 
     def _entered(
-        self,
-        state: WindowState,
-        horizon: Horizon,
-        sample: Sample,
-        pose: Pose | None,
-        counts: defaultdict[str, int],
+        self, state: WindowState, horizon: Horizon, sample: Sample, pose: Pose | None
     ) -> WindowState:
         """The state with the sample in it, and blank frames where samples before it are missing."""
-        solved, times, S = state.solved, state.times, len(sample.valid)
+        times, S = state.times, len(sample.valid)
         missing = round((sample.time_s - times[-1]) * self.rate_hz) - 1 if times else 0
-        for k in range(missing):
-            solved = horizon.step(solved, Evidence.blank(1, S))
-            times = (*times, times[-1] + (k + 1) / self.rate_hz)
-        age = len(times)
-        times = (*times, sample.time_s)
-        belief = None
+        times = (
+            *times,
+            *(times[-1] + (k + 1) / self.rate_hz for k in range(missing)),
+            sample.time_s,
+        )
+        belief, age = None, len(times) - 1
         if pose is not None:
             off = np.abs(np.array(times) - pose.time_s)
             age = len(times) - 1 - int(off.argmin())
             if off.min() < 0.5 / self.rate_hz:
                 belief = self._beliefs.of(pose)
-        solved = horizon.step(solved, evidence_of(sample), belief, age)
-        waited = state.waited + 1
-        if belief is not None and waited >= self._valley_frames and len(solved) == horizon.size:
-            waited = 0
-            found = self._valley.cheaper(horizon, solved)
-            if found is not None:
-                solved = found
-                counts[RESTED] += 1
-        times = times[len(times) - len(solved) :] if len(solved) else ()
+
+        def fed(solved: HorizonState, still: bool) -> HorizonState:
+            for _ in range(missing):
+                solved = horizon.step(solved, Evidence.blank(1, S))
+            return horizon.step(solved, evidence_of(sample), belief, age, still)
+
+        # One of the two moves on a frame: the time of a frame is that of any other.
+        waits, rival = state.rival is not None and state.waited % 2 == 0, state.rival
+        solved = fed(state.solved, waits)
+        if rival is not None:
+            rival = fed(rival, not waits)
         return replace(
             state,
             solved=solved,
-            times=times,
-            waited=waited,
+            rival=rival,
+            times=times[len(times) - len(solved) :] if len(solved) else (),
+            waited=state.waited + 1,
             steps=state.steps + 1,
             frames=state.frames + 1,
         )
 
+    def _compared(
+        self, state: WindowState, horizon: Horizon, counts: defaultdict[str, int]
+    ) -> WindowState:
+        """The state in the cheaper valley, its own or the network's, where it is time to compare them.
+
+        The network's has some frames to settle, in turns with the window.
+        """
+        if state.waited < self._valley_frames or len(state.solved) < horizon.size:
+            return state
+        if state.rival is None:
+            return replace(state, rival=valley.rival(horizon, state.solved))
+        if state.waited < self._valley_frames + VALLEY_FRAMES:
+            return state
+        solved = state.solved
+        if valley.cheaper(horizon, solved, state.rival):
+            solved = state.rival
+            counts[RESTED] += 1
+        return replace(state, solved=solved, rival=None, waited=0)
+
     def _improved(self, state: WindowState, horizon: Horizon, began: float) -> WindowState:
-        """The state after the further steps that there are, or that the clock allows."""
+        """The state after the further steps that there are, or that the clock allows; none beside a rival."""
         budget, steps = self.settings.budget_s, 1
-        while steps < self.settings.steps and len(state.solved):
+        while steps < self.settings.steps and len(state.solved) and state.rival is None:
             spent = time.perf_counter() - began
             if budget is not None and spent * (steps + 1) / steps > budget:
                 break
@@ -228,12 +265,14 @@ class Window:
         if off[t] > 0.5 / self.rate_hz:
             return state, None
         again = state.std_rad is None or state.std_age >= self._deviation_frames
+        again &= state.std_rad is None or state.solved.factor is not None
         asked = again and math.isfinite(self._deviation_frames)
         follows = abs(time_s - state.shown_s - 1 / self.rate_hz) < 0.5 / self.rate_hz
         before, lag = state.shown if follows else None, len(state.times) - 1 - t
         try:
-            now = shown(self._longest, state.solved, lag, before, self.settings.shown_memory_s)
-            std = self._longest.pose(state.solved, lag, True).std_rad if asked else None
+            with _libraries().limit(limits=1, user_api="blas"):
+                now = shown(self._longest, state.solved, lag, before, self.settings.shown_memory_s)
+                std = self._longest.pose(state.solved, lag, True).std_rad if asked else None
         except (SolveError, ArithmeticError, np.linalg.LinAlgError, ValueError):
             return state, None
         R, place = now.R_parent_joint[-1], now.p_world_root[-1]

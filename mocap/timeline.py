@@ -33,9 +33,14 @@ def seconds(begin: float, end: float) -> str:
 
 def cut(x: Timed, begin: float, end: float) -> Timed:
     """The frames from `begin` to before `end`, s, to the nearest frame."""
-    a, b = (round((t - x.start_s) * x.rate_hz) for t in (begin, end))
-    a, b = max(0, a), min(len(x), b)
+    a, b = frames(x, begin, end)
     return x if (a, b) == (0, len(x)) else x.slice(a, b)
+
+
+def frames(x: Motion | Recording, begin: float, end: float) -> tuple[int, int]:
+    """The first of the frames from `begin` to before `end`, s, to the nearest, and the one after them."""
+    a, b = (round((t - x.start_s) * x.rate_hz) for t in (begin, end))
+    return max(0, a), min(len(x), b)
 
 
 def shared(named: Mapping[Name, Motion | Recording]) -> tuple[float, float]:

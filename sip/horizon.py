@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +35,7 @@ from sip.terms.base import Point, Term
 
 _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e4
 _STEP_ROOT, _STEP_ANGLE = 1.0, 0.2  # m, rad: units of the damping, as in `sip.solvers.banded`
-_WIDE_RAD = 1.5  # a root further from its reference than this gets a new one
+_CARRIED_ON = 0.7  # of the body's last change, expected once more
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,7 @@ class HorizonState:
 
     evidence, point: of the window's frames, oldest first. frames: seen so far. damping: of the steps.
     doubt (S,), heard (S,): sums, fading over `network_memory_s`, of how far the network is from the sensors
-    and of how often that was seen. factor, factored_at are not here: they follow from the rest.
+    and of how often that was seen. factor: of the last step since the newest frame came; never kept longer.
     """
 
     evidence: Evidence | None = None
@@ -83,6 +84,11 @@ class HorizonState:
     damping: float = 0.1
     doubt: Array = field(default_factory=lambda: np.zeros(0))
     heard: Array = field(default_factory=lambda: np.zeros(0))
+    factor: Factor | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without what the next frame does not look at."""
+        return vars(self) | {"factor": None}
 
     def __len__(self) -> int:
         return 0 if self.evidence is None else len(self.evidence)
@@ -141,24 +147,31 @@ class Horizon:
         return HorizonState(doubt=np.zeros(S), heard=np.zeros(S))
 
     def step(
-        self, state: HorizonState, frame: Evidence, belief: PoseBelief | None = None, age: int = 0
+        self,
+        state: HorizonState,
+        frame: Evidence,
+        belief: PoseBelief | None = None,
+        age: int = 0,
+        still: bool = False,
     ) -> HorizonState:
         """The state after one more frame, and after the Gauss-Newton steps that it is worth.
 
         frame: its evidence, one frame long. belief: what the network says about the frame `age` frames
-        before it, one frame long. Frames before the first that has any orientation tell nothing and are left
-        out. Raises SolveError where no finite cost can be had.
+        before it, one frame long. still: no step in a full window, the frame waits for the next.
+        Frames before the first that has any orientation tell nothing and are left out. Raises SolveError
+        where no finite cost can be had.
         """
         if not len(state) and not frame.ori_valid.any():
             return state
-        state = self.grounded(self._entered(state, frame))
-        steps = self.how.steps if len(state) == self.size else self.how.growing_steps
+        state = self.grounded(self._entered(replace(state, factor=None), frame))
+        full = len(state) == self.size
+        steps = self.how.growing_steps if not full else 0 if still else self.how.steps
         if belief is None or age >= len(state) or not belief.valid[0]:
             return self._after(state, steps)
         first = not state.heard.any()
         state = self._listened(state, belief, len(state) - 1 - age)
         here = self._after(state, steps)
-        if not first or len(here) == self.size:
+        if not first or full:
             return here
         # Its first word may lie in a better valley than the prior's mean, where the window began.
         there = self._after(self._posed(state, belief), steps)
@@ -205,19 +218,22 @@ class Horizon:
         cost = problem.total(residuals)
         if not np.isfinite(cost):
             raise SolveError("the window's cost is not finite")
-        band = problem.hessian(point)
         grad, grad_u = problem.pullback(point, residuals)
         try:
-            factor = Factor(band, state.damping / self._units**2, state.damping)
+            factor = self._factor(problem, point, state.damping)
         except NotPositiveDefinite:
-            return replace(state, damping=min(state.damping * 10, _MOST_DAMPING))
+            return replace(state, damping=min(state.damping * 10, _MOST_DAMPING), factor=None)
         dx, du = factor.solve(-grad, -grad_u)
         u = point.u + du.reshape(-1, CONSTANTS) if len(du) else point.u
         trial = problem.point(point.x + dx, point.R_ref, u)
         after = problem.cost(trial)
         if not after <= cost:
-            return replace(state, damping=min(state.damping * 8, _MOST_DAMPING))
-        return replace(state, point=trial, damping=max(state.damping / 4, _LEAST_DAMPING))
+            return replace(state, damping=min(state.damping * 8, _MOST_DAMPING), factor=factor)
+        damping = max(state.damping / 4, _LEAST_DAMPING)
+        return replace(state, point=trial, damping=damping, factor=factor)
+
+    def _factor(self, problem: Problem, point: Point, damping: float) -> Factor:
+        return Factor(problem.hessian(point), damping / self._units**2, damping)
 
     def pose(self, state: HorizonState, lag: int = 0, deviation: bool = False) -> HorizonPose:
         """That of the frame `lag` frames before the newest, or of the oldest there is."""
@@ -231,8 +247,9 @@ class Horizon:
 
     def _deviation(self, state: HorizonState, t: int) -> Array:
         assert state.point is not None
-        problem = self.problem(state)
-        factor = Factor(problem.hessian(state.point), 1e-6, 1e-6)
+        factor = state.factor
+        if factor is None:
+            factor = self._factor(self.problem(state), state.point, 1e-6)
         block = factor.inverse_block(t)
         body = self.model.prior.complete_variance(block[None, BODY, BODY])[0]
         return np.sqrt(np.concatenate([np.diag(block)[ROOT_W], body])).reshape(24, 3)
@@ -273,12 +290,13 @@ class Horizon:
         return frame.R[:, self.pelvis]
 
     def _guess(self, state: HorizonState, frame: Evidence) -> tuple[Array, Array]:
-        """x (1,n) and R_ref (1,3,3) of the frame that follows: the root moves on, the body stays."""
+        """x (1,n) and R_ref (1,3,3) of the frame that follows: root and body move on."""
         point = state.point
         assert point is not None
         x, last = point.x[-1:].copy(), point.R_ref[-1]
         if len(point.x) > 1:
             x[:, ROOT_P] += point.x[-1:, ROOT_P] - point.x[-2:-1, ROOT_P]
+            x[:, BODY] += _CARRIED_ON * (point.x[-1:, BODY] - point.x[-2:-1, BODY])
         R = self._measured_root(frame)
         if R is None:
             R = (last @ ori.exp(x[0, ROOT_W]))[None]

@@ -45,7 +45,9 @@ class Metrics:
     mean third difference, 100 m/s^3, masked, root fixed. root_deg, global_deg, instrumented_deg:
     nothing masked. left_out_deg: angle to what unseen sensors measured. world_position_cm: pelvis
     positions aligned, rotations untouched. translation_m: {"1","2","5"} s, m. translation_m_per_m:
-    after one metre travelled.
+    after one metre travelled. inside_1_sigma, inside_2_sigma: shares of the errors of DIP's 15
+    joints, axis by axis, that lie inside one and two of the deviations that the prediction states (normal
+    errors that are stated rightly: 0.683 and 0.954).
 
     frames: those that count. Kept for the report, not part of the JSON: angle_deg (T,24) global and
     unmasked, masked_angle_deg (T,24), distance_cm (T,24) masked, NaN at frames that do not count;
@@ -68,6 +70,8 @@ class Metrics:
     world_position_cm: float | None = None
     translation_m: dict[str, float | None] | None = None
     translation_m_per_m: float | None = None
+    inside_1_sigma: float | None = None
+    inside_2_sigma: float | None = None
     angle_deg: Array | None = None
     masked_angle_deg: Array | None = None
     distance_cm: Array | None = None
@@ -75,7 +79,10 @@ class Metrics:
 
     def to_json(self) -> dict[str, Any]:
         """The figures under their JSON names; arrays are left out."""
-        return {name: getattr(self, name) for name in JSON_NAMES}
+        stated = {name: getattr(self, name) for name in SHARES}
+        return {name: getattr(self, name) for name in JSON_NAMES} | {
+            name: share for name, share in stated.items() if share is not None
+        }
 
     @property
     def frame_sip_deg(self) -> Array | None:
@@ -99,8 +106,12 @@ class Metrics:
         return None if self.distance_cm is None else np.nanmean(self.distance_cm, axis=0)
 
 
+SHARES = ("inside_1_sigma", "inside_2_sigma")
+"""JSON names of what only motions with deviations have."""
 _KEPT = ("angle_deg", "masked_angle_deg", "distance_cm", "untrusted_frames")
-JSON_NAMES: tuple[str, ...] = tuple(f.name for f in fields(Metrics) if f.name not in _KEPT)
+JSON_NAMES: tuple[str, ...] = tuple(
+    f.name for f in fields(Metrics) if f.name not in (*_KEPT, *SHARES)
+)
 
 
 def _check_start(prediction: Motion, reference: Motion) -> None:
@@ -124,6 +135,7 @@ def evaluate(
     seen: tuple[str, ...] | None = None,
     smpl: Skeleton | None = None,
     trusted: Mask | None = None,
+    std_rad: Array | None = None,
 ) -> Metrics:
     """Compare `prediction` with `reference`.
 
@@ -131,6 +143,7 @@ def evaluate(
     that the method saw (default: all of `recording`), for `instrumented_deg` and `left_out_deg`.
     smpl: a body with a mesh, for `mesh_cm`. trusted (T,): the frames of the reference that count (default:
     its own `trusted`); a step of jitter or translation that touches another one does not count either.
+    std_rad (T,24,3): the deviations that the prediction states of its joints' rotation vectors.
     Without a reference only `left_out_deg` and `jitter` are defined.
 
     Raises PoserError where the lengths differ by more than one period of the slower motion, where no frame
@@ -180,11 +193,34 @@ def evaluate(
         world_position_cm=float(100 * np.nanmean(world)),
         translation_m=translation,
         translation_m_per_m=per_metre,
+        **_inside(prediction, std_rad, p, r, counts),
         angle_deg=angle,
         masked_angle_deg=masked,
         distance_cm=distance,
         untrusted_frames=int((~counts).sum()),
     )
+
+
+def _inside(
+    prediction: Motion, std_rad: Array | None, p: Motion, r: Motion, counts: Mask
+) -> dict[str, float]:
+    """Shares of errors inside one and two stated deviations; p, r: both motions, aligned.
+
+    An error is that of the rotation vector theta: J_r^-1(theta) Log(R_p^T R_r) per joint.
+    """
+    if std_rad is None:
+        return {}
+    if np.shape(std_rad) != (len(prediction), 24, 3):
+        raise PoserError(
+            f"evaluate: std_rad must be ({len(prediction)},24,3), got {np.shape(std_rad)}"
+        )
+    joints = list(DIP_JOINTS)
+    at = np.arange(len(p)) * prediction.rate_hz / p.rate_hz
+    stated = std_rad[np.clip(np.round(at).astype(int), 0, len(prediction) - 1)][:, joints]
+    R_p, R_r = (m.R_parent_joint[:, joints] for m in (p, r))
+    turned = ori.log(np.swapaxes(R_p, -1, -2) @ R_r)
+    error = np.abs((ori.right_jacobian_inv(ori.log(R_p)) @ turned[..., None])[..., 0])[counts]
+    return {f"inside_{k}_sigma": float((error <= k * stated[counts]).mean()) for k in (1, 2)}
 
 
 def _counts(reference: Motion, trusted: Mask | None) -> Mask:
@@ -237,7 +273,7 @@ def mean_over(metrics: Sequence[Metrics]) -> Metrics:
         "frames": sum(m.frames for m in metrics),
         "rate_hz": rates.pop() if len(rates) == 1 else None,
     }
-    for name in JSON_NAMES:
+    for name in (*JSON_NAMES, *SHARES):
         if name not in (*values, "translation_m"):
             values[name] = _mean([getattr(m, name) for m in metrics])
     known = [m.translation_m for m in metrics if m.translation_m is not None]

@@ -171,6 +171,17 @@ def states_start(path: str | Path) -> bool:
     return "start_s" in _npz.names(Path(path))
 
 
+def deviations(path: str | Path, motion: Motion) -> np.ndarray | None:
+    """std_rad (T,24,3) rad that a native file states of its motion's joints, or None. Raises FormatError."""
+    path = Path(path)
+    if "std_rad" not in _npz.names(path):
+        return None
+    found = _npz.Fields(path, _npz.load(path, ("std_rad",))).floats("std_rad", (len(motion), 24, 3))
+    if not (np.isfinite(found) & (found > 0)).all():
+        raise FormatError(path, "std_rad must be finite and positive")
+    return found
+
+
 def _fields(path: Path, schema: str) -> _npz.Fields:
     """The arrays of a file of this schema, which is looked at before anything large is read."""
     found = _npz.Fields(path, _npz.load(path, ("schema",))).text("schema")

@@ -43,6 +43,8 @@ LABELS: tuple[tuple[str, str, str], ...] = (
     ("left_out_deg", "bones of sensors left out, angle to what they measured", "deg"),
     ("world_position_cm", "24 joints, distance, pelvis aligned", "cm"),
     ("translation_m_per_m", "drift per metre travelled", "m"),
+    ("inside_1_sigma", "errors inside one stated deviation (0.68 is honest)", ""),
+    ("inside_2_sigma", "errors inside two (0.95 is honest)", ""),
 )
 """JSON name, words, unit: the rows of the table."""
 _PART = (
@@ -127,15 +129,20 @@ def _evaluate(args: Namespace) -> _Answer:
     if recording is not None:
         stated[args.recording or args.reference] = recording
     when = _shared(stated)
+    std_rad = native.deviations(args.motion, motion)
     if when is not None:
-        motion = timeline.cut(motion, *when) if args.motion in stated else motion
+        if args.motion in stated:
+            a, b = timeline.frames(motion, *when)
+            motion, std_rad = motion.slice(a, b), None if std_rad is None else std_rad[a:b]
         reference = reference and timeline.cut(reference, *when)
         recording = recording and timeline.cut(recording, *when)
     if recording is not None and whole is not None:
         files.note_gaps(args.recording, recording, whole)
     smpl = Skeleton.from_smpl_file(args.smpl) if args.smpl else None
     with files.about(args.motion):
-        found = metrics.evaluate(motion, reference, recording=recording, seen=seen, smpl=smpl)
+        found = metrics.evaluate(
+            motion, reference, recording=recording, seen=seen, smpl=smpl, std_rad=std_rad
+        )
     others = {
         name: metrics.evaluate(other, reference, recording=recording, seen=seen, smpl=smpl)
         for name, other in _no_skill(reference, recording, seen).items()

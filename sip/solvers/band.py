@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
-from scipy.linalg import lapack
+from scipy.linalg import blas, lapack
 
 from mocap.errors import SolveError
 from mocap.orientation import Array
@@ -81,44 +81,79 @@ class Factor:
 
     def __init__(self, band: Band, damping: Array | float = 0.0, corner_damping: float = 0.0):
         T, k1, n, _ = band.blocks.shape
-        k, rows = k1 - 1, k1 * n
+        k, rows, g = k1 - 1, k1 * n, len(band.corner)
         self.T, self.k, self.n = T, k, n
         # One diagonal more than the band has: the strided views of blocks then overlap in zeros alone.
         storage = np.zeros(T * n * (rows + 1))
+        self._columns = storage.reshape(T * n, rows + 1).T
         skewed = as_strided(storage, (T, n, rows), (8 * n * (rows + 1), 8 * rows, 8))
-        np.multiply(np.swapaxes(band.blocks[:, 0], 1, 2), np.triu(np.ones((n, n))), skewed[..., :n])
-        for d in range(1, min(k, T - 1) + 1):
-            skewed[: T - d, :, d * n : (d + 1) * n] = np.swapaxes(band.blocks[: T - d, d], 1, 2)
-        columns = storage.reshape(T * n, rows + 1)
-        columns[:, 0] += np.broadcast_to(np.asarray(damping, float), (T, n)).ravel()
-        self._columns, info = lapack.dpbtrf(columns.T, lower=1, overwrite_ab=1)
-        if info != 0:
-            raise NotPositiveDefinite((info - 1) // n)
         self.diag, self.panel = skewed[..., :n], skewed[..., n:]
         self.border: Array | None = None
         self.schur: Array | None = None
-        if band.corner.shape[0]:
-            self.border = self._half_solve(band.border)
-            g = band.corner.shape[0]
-            flat = self.border.reshape(T * n, g)
-            corner = band.corner + corner_damping * np.eye(g) - flat.T @ flat
-            S, info = lapack.dpotrf(corner, lower=1, clean=1)
-            if info != 0:
-                raise NotPositiveDefinite(T)
-            self.schur = S
+        damping = np.broadcast_to(np.asarray(damping, float), (T, n))
+        if not g:
+            self._factor(band, damping)
+            return
+        corner = self._factor_with_border(band, damping)
+        S, info = lapack.dpotrf(corner + corner_damping * np.eye(g), lower=1, clean=1)
+        if info != 0:
+            raise NotPositiveDefinite(T)
+        self.schur = S
 
-    def _half_solve(self, b: Array) -> Array:
-        """L^-1 b for b (T,n,g)."""
+    def _factor(self, band: Band, damping: Array) -> None:
+        T, k, n = self.T, self.k, self.n
+        np.multiply(np.swapaxes(band.blocks[:, 0], 1, 2), np.triu(np.ones((n, n))), self.diag)
+        for d in range(1, min(k, T - 1) + 1):
+            self.panel[: T - d, :, (d - 1) * n : d * n] = np.swapaxes(band.blocks[: T - d, d], 1, 2)
+        self._columns[0] += damping.ravel()
+        self._columns, info = lapack.dpbtrf(self._columns, lower=1, overwrite_ab=1)
+        if info != 0:
+            raise NotPositiveDefinite((info - 1) // n)
+
+    def _factor_with_border(self, band: Band, damping: Array) -> Array:
+        """Frame by frame, the border among the rows below; gives what is left of the corner."""
+        T, k, n = self.T, self.k, self.n
+        kn, index = k * n, np.arange(n)
+        border = self.border = np.empty(band.border.shape)
+        # What frames so far leave of the k frames that follow and of the corner (lower triangle).
+        left, after = (np.zeros((kn + len(band.corner),) * 2, order="F") for _ in range(2))
+        left[kn:, kn:] = band.corner
+        P = np.empty((len(left), n), order="F")
+        for t in range(T):
+            own = band.blocks[t, 0] + left[:n, :n] if k else band.blocks[t, 0].copy()
+            own[index, index] += damping[t]
+            L, info = lapack.dpotrf(own.T, lower=0, clean=1, overwrite_a=1)
+            if info != 0:
+                raise NotPositiveDefinite(t)
+            for d in range(1, k + 1):
+                P[(d - 1) * n : d * n] = band.blocks[t, d] if t + d < T else 0
+            P[kn:] = band.border[t].T
+            if k:
+                P[: kn - n] += left[n:kn, :n]
+                P[kn:] += left[kn:, :n]
+                after[: kn - n, : kn - n] = left[n:kn, n:kn]
+                after[kn - n : kn, :kn] = 0
+                after[kn:, : kn - n] = left[kn:, n:kn]
+                after[kn:, kn - n : kn] = 0
+            after[kn:, kn:] = left[kn:, kn:]
+            P = blas.dtrsm(1.0, L, P, side=1, lower=0, trans_a=0, overwrite_b=1)
+            after = blas.dsyrk(-1.0, P, beta=1.0, c=after, lower=1, overwrite_c=1)
+            left, after = after, left
+            self.diag[t], self.panel[t], border[t] = L, P[:kn].T, P[kn:].T
+        return left[kn:, kn:]
+
+    def _half_solve(self, b: Array, first: int = 0) -> Array:
+        """L^-1 b for b (T,n,g); without the frames before the first, where b is zero."""
         n, k = self.n, self.k
-        if b.shape[-1] == 1:
+        if b.shape[-1] == 1 and not first:
             return lapack.dtbtrs(self._columns, b.reshape(-1, 1), uplo="L")[0].reshape(b.shape)
         # LAPACK takes the columns one by one; by blocks, many go through the factor at once.
         y = np.array(b)
-        for t in range(self.T):
-            y[t] = lapack.dtrtrs(self.diag[t], y[t], lower=0, trans=1)[0]
+        for i, t in enumerate(range(first, self.T)):
+            y[i] = lapack.dtrtrs(self.diag[t], y[i], lower=0, trans=1)[0]
             m = min(k, self.T - 1 - t)
             if m:
-                y[t + 1 : t + 1 + m] -= (self.panel[t, :, : m * n].T @ y[t]).reshape(m, n, -1)
+                y[i + 1 : i + 1 + m] -= (self.panel[t, :, : m * n].T @ y[i]).reshape(m, n, -1)
         return y
 
     def _back_solve(self, y: Array) -> Array:
@@ -152,12 +187,12 @@ class Factor:
 
     def inverse_block(self, t: int) -> Array:
         """The diagonal block (n,n) of H^-1 of one frame: its posterior covariance."""
-        unit = np.zeros((self.T, self.n, self.n))
-        unit[t] = np.eye(self.n)
-        y = self._half_solve(unit).reshape(-1, self.n)
+        unit = np.zeros((self.T - t, self.n, self.n))
+        unit[0] = np.eye(self.n)
+        y = self._half_solve(unit, t).reshape(-1, self.n)
         out = y.T @ y
         if self.border is not None:
-            through = self.border.reshape(len(y), -1).T @ y
+            through = self.border[t:].reshape(len(y), -1).T @ y
             w = lapack.dtrtrs(self.schur, through, lower=1)[0]
             out += w.T @ w
         return np.asarray(out)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from mocap import orientation as ori
 from mocap.orientation import Array
 from sip.solvers.band import Band
-from sip.terms.base import Point, Term
+from sip.terms.base import Point, Term, add_pairs
 
 
 class Acceleration(Term):
@@ -63,11 +63,17 @@ class Acceleration(Term):
 
     def _jacobian(self, point: Point) -> tuple[Array, Array | None]:
         """d (heading-turned position)/dx (T,S,3,c) and d residual/du (T-2,S,3,4): heading, bias."""
+        key = self, "jacobian"
+        if key not in point.kept:
+            point.kept[key] = self._compute_jacobian(point)
+        J, G = point.kept[key]
+        return J, G
+
+    def _compute_jacobian(self, point: Point) -> tuple[Array, Array | None]:
         if not self.border:
             return point.p_x * self.scale, None
         Ry = ori.rot_y(point.u[:, 3])
-        J = Ry @ (point.p_x * self.scale)
-        return J, self._of_constants(point, Ry)
+        return (Ry * self.scale) @ point.p_x, self._of_constants(point, Ry)
 
     def _of_constants(self, point: Point, Ry: Array) -> Array:
         """d residual/du (T-2,S,3,4): y x (turned acceleration) for the heading, R_meas for the bias."""
@@ -81,9 +87,7 @@ class Acceleration(Term):
         v = v * self.weight / self._robust(self.residual(point))[..., None]
         J, G = self._jacobian(point)
         # Each residual touches three frames with 1, -2, 1: difference v first, then one product a frame.
-        spread = np.zeros((len(J), *v.shape[1:]))
-        for k, c in enumerate((1.0, -2.0, 1.0)):
-            spread[k : k + len(v)] += c * v
+        spread = _spread(v)
         T = len(grad)
         grad += (spread.reshape(T, 1, -1) @ J.reshape(T, spread[0].size, -1))[:, 0]
         if G is not None:
@@ -91,33 +95,35 @@ class Acceleration(Term):
 
     def hessian(self, point: Point, band: Band) -> None:
         r = self.residual(point)
-        w = (self.weight / np.sqrt(self._robust(r))[..., None])[..., None]
         J, G = self._jacobian(point)
         M, S = r.shape[:2]
         if M <= 0:
             return
+        w2 = self.weight**2 / self._robust(r)[..., None]  # (M,S,1)
         # Residual t is w_t (J_{t-1} - 2 J_t + J_{t+1}): gather the weights of each pair of frames first.
-        T, w2 = len(J), w**2
-        zero = np.zeros((1, *w2.shape[1:]))
-        before, here, after = (
-            np.concatenate([*[zero] * lead, w2, *[zero] * (2 - lead)]) for lead in (0, 1, 2)
-        )
+        T = len(J)
+        padded = np.zeros((M + 4, S, 1))
+        padded[2:-2] = w2
         # before[t]: weight of the residual centred on t + 1, in which frame t has coefficient 1.
-        flat = J.reshape(T, 3 * S, -1)
+        before, here, after = (padded[2 - lead :][:T] for lead in (0, 1, 2))
         pairs = ((before + 4 * here + after), -2 * (before + here)[:-1], before[:-2])
         for d, weight in enumerate(pairs):
-            left = (J[d:] * weight).reshape(T - d, 3 * S, -1)
-            H = np.swapaxes(left, 1, 2) @ flat[: T - d]
-            band.blocks[: T - d, d] += H
+            add_pairs(band, d, J, weight[..., None])
         if G is None:
             return
-        G = G * w
-        own = np.swapaxes(J, 2, 3)  # (T,S,c,3)
+        coupled = np.swapaxes(J, 2, 3) @ _spread(G * w2[..., None])  # (T,S,c,4)
         border = band.border.reshape(*band.border.shape[:2], S, 7)
-        for k, c in enumerate((1.0, -2.0, 1.0)):
-            coupled = own[k : k + M] @ (c * G * w)
-            border[k : k + M, ..., 3:] += np.swapaxes(coupled, 1, 2)
+        border[..., 3:] += np.swapaxes(coupled, 1, 2)
         corner = band.corner.reshape(S, 7, S, 7)
-        for s in range(S):
-            rows = G[:, s].reshape(3 * M, 4)
-            corner[s, 3:, s, 3:] += rows.T @ rows
+        rows = (G * np.sqrt(w2)[..., None]).swapaxes(0, 1).reshape(S, 3 * M, 4)
+        each = np.arange(S)
+        corner[each, 3:, each, 3:] += rows.swapaxes(1, 2) @ rows
+
+
+def _spread(v: Array) -> Array:
+    """(M+2,...): what each frame has of v (M,...): entry t is 1, -2, 1 times that of t, t+1, t+2."""
+    out = np.zeros((len(v) + 2, *v.shape[1:]))
+    out[:-2] += v
+    out[1:-1] -= 2 * v
+    out[2:] += v
+    return out

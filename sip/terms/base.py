@@ -171,6 +171,17 @@ def add_constants(band: Band, G: Array, constants: slice) -> None:
         corner[k, constants, k, constants] += flat.T @ flat
 
 
+def add_pairs(band: Band, d: int, J: Array, weight: Array) -> None:
+    """Add sum_t J_{t+d}^T weight_t J_t to the d-th block diagonal.
+
+    J (T,...,c): derivatives of one quantity of each frame. weight (T-d,...,1): the product of what the two
+    frames of a pair have in the residuals that they share.
+    """
+    T, c = len(J), J.shape[-1]
+    left = (J[d:] * weight).reshape(T - d, -1, c)
+    band.blocks[: T - d, d] += np.swapaxes(left, 1, 2) @ J[: T - d].reshape(T - d, -1, c)
+
+
 def difference_stencil(order: int) -> dict[int, float]:
     """Coefficients {offset: c} of the forward difference of that order: 2 -> {0: 1, 1: -2, 2: 1}."""
     c = np.array([1.0])

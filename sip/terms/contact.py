@@ -6,7 +6,8 @@ import numpy as np
 
 from mocap.orientation import Array
 from sip.soles import Soles
-from sip.terms.base import Point, Stencil, Term
+from sip.solvers.band import Band
+from sip.terms.base import Point, Term, add_pairs
 
 
 class Contact(Term):
@@ -25,9 +26,23 @@ class Contact(Term):
     def residual(self, point: Point) -> Array:
         return np.diff(self.soles.places(point.x, point.R_ref), axis=0) * self.weight
 
-    def stencil(self, point: Point) -> Stencil:
+    def pullback(self, point: Point, v: Array, grad: Array, grad_u: Array) -> None:
+        J = self._slopes(point)
+        v = v * self.weight
+        spread = np.zeros((len(J), *v.shape[1:]))
+        spread[1:] += v
+        spread[:-1] -= v
+        T = len(grad)
+        grad += (spread.reshape(T, 1, -1) @ J.reshape(T, spread[0].size, -1))[:, 0]
+
+    def hessian(self, point: Point, band: Band) -> None:
+        J, w2 = self._slopes(point), np.zeros((len(point.x) + 1, *self.weight.shape[1:], 1))
+        w2[1:-1] = self.weight[..., None] ** 2
+        # Residual t is w_t (J_{t+1} - J_t).
+        add_pairs(band, 0, J, w2[1:] + w2[:-1])
+        add_pairs(band, 1, J, -w2[1:-1])
+
+    def _slopes(self, point: Point) -> Array:
         if self not in point.kept:
             point.kept[self] = self.soles.evaluate(point.x, point.R_ref)[1]
-        J = point.kept[self].reshape(len(point.x), 3 * self.soles.P, -1)
-        weight = np.repeat(self.weight, 3, axis=2).reshape(len(self.weight), -1)
-        return Stencil({0: -J[:-1], 1: J[1:]}, weight=weight)
+        return np.asarray(point.kept[self])

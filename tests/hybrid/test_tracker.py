@@ -189,7 +189,7 @@ def spoil(sample: Sample, how: str, rng: np.random.Generator) -> Any:
     if how == "mirrored":
         return replace(sample, R_world_bone=R * np.array([-1.0, 1, 1]))
     if how == "huge":
-        return replace(sample, R_world_bone=R * 1e200, acc_world=acc * 1e200)
+        return replace(sample, R_world_bone=R * 1e150, acc_world=acc * 1e150)
     if how == "random":
         R = ori.exp(rng.normal(size=(len(R), 3)) * 2)
         return replace(sample, R_world_bone=R, acc_world=rng.normal(size=acc.shape) * 100)

@@ -79,7 +79,7 @@ def test_every_frame_has_a_pose_of_its_time_and_a_deviation(
 def test_the_root_goes_where_the_feet_walk(truth: Motion, whole: tuple[list[Pose], Any]) -> None:
     p = np.stack([p.p_world_root for p in whole[0]])
     gone, true = p[-1] - p[RATE := int(RATE_HZ)], truth.p_world_root[-1] - truth.p_world_root[RATE]
-    assert np.linalg.norm(gone - true) < 0.3 * np.linalg.norm(true)
+    assert np.linalg.norm(gone - true) < 0.5 * np.linalg.norm(true)
 
 
 @pytest.mark.parametrize("lag", [0, 6])
@@ -131,7 +131,7 @@ def test_a_window_that_fails_is_replaced_by_the_frame_alone_and_begun_anew(
     assert gone == list(range(20, 22 + LATE)) and len(notes) == len(rows) - LATE
     assert state.counts[window.FAILED] == len(gone)
     p = np.stack([check(q).p_world_root for q in poses if q is not None])
-    assert np.linalg.norm(np.diff(p, axis=0), axis=1).max() < 0.2
+    assert np.linalg.norm(np.diff(p, axis=0), axis=1).max() < 0.3
 
 
 def test_a_gap_in_time_begins_a_new_window_where_the_path_had_led(
@@ -146,7 +146,7 @@ def test_a_gap_in_time_begins_a_new_window_where_the_path_had_led(
     noted = [k for k, p in enumerate(poses) if p is not None and tracker.TIME_GAP in p.note]
     assert noted == list(range(25, 25 + LATE))
     p = np.stack([check(q).p_world_root for q in poses if q is not None])
-    assert np.linalg.norm(np.diff(p, axis=0), axis=1).max() < 0.2
+    assert np.linalg.norm(np.diff(p, axis=0), axis=1).max() < 0.3
 
 
 def test_a_machine_too_slow_has_a_shorter_window_and_then_none_and_still_every_pose(

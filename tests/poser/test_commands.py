@@ -422,6 +422,8 @@ def test_solve_says_how_it_went(folder: Path, tmp_path: Path, answer: Answer) ->
     with np.load(out) as f:
         assert f["poses"].shape == (180, 156)
         assert f["std_rad"].shape == (180, 24, 3)
+    shares = answer("evaluate", out, folder / "rec" / "walk.npz")
+    assert 0 < shares["inside_1_sigma"] < shares["inside_2_sigma"] <= 1
     motion = amass.read_motion(out)
     assert motion.p_world_joint[0, [10, 11], 1].min() == pytest.approx(0.02, abs=1e-6)
 

@@ -148,7 +148,7 @@ def test_what_a_network_says_late_is_heard() -> None:
 def test_the_deviation_is_that_of_the_whole_matrix() -> None:
     recording = synthesis.recording(wavy(30), sensors.SIX, synthesis.Noise(), 1)
     h = horizon(recording, Settings(self_calibration=True), seconds=0.2)
-    state = fed(h, Evidence.of(recording))
+    state = replace(fed(h, Evidence.of(recording)), factor=None)
     pose = h.pose(state, 3, deviation=True)
     assert state.point is not None and pose.std_rad is not None
     H = h.problem(state).hessian(state.point).dense()
@@ -158,6 +158,17 @@ def test_the_deviation_is_that_of_the_whole_matrix() -> None:
     for i, j in enumerate(h.kinematics.active):
         at = t * n + 6 + 3 * i
         assert pose.std_rad[j] == pytest.approx(np.sqrt(variance[at : at + 3]), rel=1e-4)
+
+
+def test_the_matrix_of_the_last_step_has_nearly_the_same_deviation() -> None:
+    recording = synthesis.recording(wavy(30), sensors.SIX, synthesis.Noise(), 1)
+    h = horizon(recording, Settings(self_calibration=True), seconds=0.2)
+    state = fed(h, Evidence.of(recording))
+    assert state.factor is not None
+    assert pickle.loads(pickle.dumps(state)).factor is None
+    quick, exact = (h.pose(s, 3, True).std_rad for s in (state, replace(state, factor=None)))
+    ratio = quick / exact
+    assert 0.95 < np.median(ratio) < 1.05 and ratio.min() > 0.6 and ratio.max() < 1.6
 
 
 @pytest.mark.parametrize("name", ["seconds", "memory_s"])

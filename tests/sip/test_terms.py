@@ -8,11 +8,12 @@ import pytest
 from mocap.recording import Recording
 from mocap.skeleton import Skeleton
 from sip import initial
-from sip.problem import Problem, build
+from sip.problem import Problem, build, grounded
 from sip.settings import Settings
 from sip.solvers.band import Band
 from sip.terms.acceleration import Acceleration
 from sip.terms.base import Point, Stencil, Term
+from sip.terms.contact import Contact
 from sip.terms.network import NetworkPose
 from tests.sip.test_network import near, told
 
@@ -81,3 +82,17 @@ def test_network(recording: Recording, rng: np.random.Generator) -> None:
     point = problem.point(x + rng.normal(size=x.shape) * 0.1, R_ref, np.zeros((problem.S, 7)))
     (term,) = [t for t in problem.terms if isinstance(t, NetworkPose)]
     _compare(problem, point, term, network(term, point))
+
+
+def test_contact(recording: Recording, rng: np.random.Generator) -> None:
+    few = recording.slice(0, 12)
+    problem = build(few, Skeleton.default(), Settings())
+    assert few.reference is not None
+    x, R_ref = initial.from_motion(few.reference, problem.prior)
+    point = problem.point(x + rng.normal(size=x.shape) * 0.1, R_ref, np.zeros((problem.S, 7)))
+    (term,) = [t for t in grounded(problem, point).terms if isinstance(t, Contact)]
+    term.weight = rng.uniform(size=term.weight.shape)  # whether or not one of them stands
+    J = term._slopes(point)
+    J = J.reshape(len(J), 3 * term.soles.P, -1)
+    weight = np.repeat(term.weight, 3, axis=2).reshape(len(term.weight), -1)
+    _compare(problem, point, term, Stencil({0: -J[:-1], 1: J[1:]}, weight=weight))

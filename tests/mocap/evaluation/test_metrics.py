@@ -252,3 +252,17 @@ def test_a_mask_is_checked(rng):
         evaluate(m, m, trusted=np.ones(49, bool))
     with pytest.raises(PoserError, match="no frame of the reference is trusted"):
         evaluate(m, m, trusted=np.zeros(50, bool))
+
+
+def test_shares_inside_stated_deviations_are_those_of_normal_errors(rng):
+    truth = moving(rng, 400)
+    sigma = rng.uniform(0.02, 0.1, size=(len(truth), 24, 3))
+    theta = ori.log(truth.R_parent_joint)
+    noisy = replace(truth, R_parent_joint=ori.exp(theta + sigma * rng.normal(size=sigma.shape)))
+    found = evaluate(noisy, truth, std_rad=sigma)
+    assert found.inside_1_sigma == pytest.approx(0.683, abs=0.02)
+    assert found.inside_2_sigma == pytest.approx(0.954, abs=0.02)
+    assert {"inside_1_sigma", "inside_2_sigma"} <= set(found.to_json())
+    assert evaluate(noisy, truth).inside_1_sigma is None
+    with pytest.raises(PoserError, match="std_rad"):
+        evaluate(noisy, truth, std_rad=sigma[1:])
