@@ -7,7 +7,7 @@ STAMP := $(VENV)/.installed
 WORKERS ?= auto
 # One clone may move: paths are relative, and the stamp follows what it was made from.
 
-.PHONY: help venv demo test lint types check check-fast docs results bench bench-split bench-methods bench-real bench-retargeting bench-accuracy bench-experiments bench-endurance prior weights body poses clean
+.PHONY: help venv demo test lint types check check-fast docs results bench bench-split bench-methods bench-real bench-retargeting bench-accuracy bench-experiments bench-horizon bench-endurance prior weights body poses clean
 
 help:
 	@echo "make demo         all methods on the built-in recording, with pictures and a report in poser-demo/"
@@ -22,7 +22,8 @@ help:
 	@echo "make bench-retargeting  one motion from several files, people standing (needs the data)"
 	@echo "make bench-accuracy     the last three: every accuracy table of the README"
 	@echo "make bench-experiments  the papers' experiments: trains for hours (needs the data)"
-	@echo "make bench-endurance    ten hours of the tracker, one of each network"
+	@echo "make bench-horizon    the moving horizon's parts one by one, and drifting headings (needs the data)"
+	@echo "make bench-endurance    ten hours of the single frame, one of the window and of each network"
 
 $(STAMP): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
@@ -84,8 +85,13 @@ bench-experiments: $(STAMP)
 	$(BIN)/python benchmarks/experiments.py share hybrid-share hidden augmentation noise-gap licence imuposer-limits dip-tables dip-networks \
 	    normalisations one-clip dip-window dip-histogram imuposer-devices imuposer-regions
 
+bench-horizon: $(STAMP)
+	$(BIN)/python benchmarks/horizon.py
+	$(BIN)/python benchmarks/drift.py
+
 bench-endurance: $(STAMP)
-	$(BIN)/python benchmarks/endurance.py --hours 10
+	$(BIN)/python benchmarks/endurance.py --hours 10 --horizon 0
+	$(BIN)/python benchmarks/endurance.py --hours 1
 	$(BIN)/python benchmarks/endurance.py --hours 1 --network dip
 	$(BIN)/python benchmarks/endurance.py --hours 1 --network imuposer
 

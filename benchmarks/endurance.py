@@ -4,7 +4,8 @@ The built-in motion in a loop and trouble all the time: the realistic noise's lo
 unplugged sensor, two exchanged ones, zero matrices, a jump of the clock. --network stand-in (that of `qp.py`)
 or dip: six sensors at 60 Hz; imuposer: three devices at 25 Hz. Counts frames without a usable pose (the goal
 is none) and fallbacks by reason, and tells resident memory each tenth of the way. With -o the state is saved
-every minute of input, and a later call goes on from there.
+every minute of input, and a later call goes on from there. --horizon 0:
+the single frame instead of the window.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ import numpy as np
 from common import resident_mb
 from qp import StandIn
 
-from hybrid import Tracker
+from hybrid import Tracker, TrackerSettings
 from mocap import Recording, sensors, synthesis
 from mocap import orientation as ori
 from mocap.estimator import Estimator, Pose, Sample, samples
@@ -81,6 +82,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--hours", type=float, default=10.0)
     parser.add_argument("--network", default="stand-in", choices=("stand-in", "dip", "imuposer"))
+    parser.add_argument("--horizon", type=float, help="s, of the window (default: the tracker's)")
     parser.add_argument("-o", "--output", type=Path, help="where the state is kept")
     args = parser.parse_args()
     rate, names = (
@@ -90,10 +92,11 @@ def main() -> None:
     )
     truth = motions.builtin(rate)
     recording: Recording = synthesis.recording(truth, names, synthesis.Noise(), 0)
+    changes = {} if args.horizon is None else {"horizon_s": args.horizon}
     tracker: Estimator = (
-        Tracker(Looped(truth, names))
+        Tracker(Looped(truth, names), TrackerSettings(**changes))
         if args.network == "stand-in"
-        else make("hybrid", rate, names, network=args.network)
+        else make("hybrid", rate, names, network=args.network, tracker=changes)
     )
     done, missing, state = 0, 0, tracker.init()
     if args.output and args.output.exists():

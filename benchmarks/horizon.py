@@ -96,7 +96,6 @@ VARIANTS: dict[str, Callable[[TrackerSettings], TrackerSettings]] = {
     "doubt 2": cost(network_doubt=2.0),
     "no contact": cost(sigma_contact=float("inf")),
     "no constants": cost(self_calibration=False),
-    "no valley": how(valley_s=float("inf")),
     "tremble kept": how(shown_memory_s=1e-4),
     "tremble 0.05 s": how(shown_memory_s=0.05),
 }

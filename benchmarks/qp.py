@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from common import machine, row
 
-from hybrid import Tracker
+from hybrid import Tracker, TrackerSettings
 from hybrid.limb_qp import LimbQP, QPSolution
 from mocap import Motion, sensors, synthesis
 from mocap import orientation as ori
@@ -82,7 +82,7 @@ def measure(
     """One row of the table."""
     truth = motions.builtin(rate_hz, seconds)
     recording = synthesis.recording(truth, names, synthesis.Noise(), 0)
-    tracker = Tracker(StandIn(truth, names, error_deg))
+    tracker = Tracker(StandIn(truth, names, error_deg), TrackerSettings(horizon_s=0.0))
     qp = Timed(tracker.refinement.kinematics.n)
     tracker.refinement.qp = qp
     state, steps = tracker.init(), []

@@ -19,6 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from mocap import sensors, synthesis
 from mocap.recording import Recording
 from mocap.synthesis import motions
+from poser.live import sources
 from poser.live.addresses import Address
 from poser.live.assembler import Assembler
 from poser.live.receiver import Receiver
@@ -29,8 +30,9 @@ from poser.live.sources.mvn import Mvn
 from poser.live.sources.protocol import Intake
 from poser.live.sources.sensorlogger import SensorLogger
 from poser.live.sources.slimevr import SlimeVR
-from poser.live.sources.threads import Mailbox, Threaded
+from poser.live.sources.threads import Threaded
 from tests.poser.live.sources.conftest import RATE, Time
+from tests.poser.live.sources.sets import SETS, Post, at
 from tests.poser.live.sources.test_mvn import suit
 from tests.poser.live.sources.test_sensorlogger import SYSTEMS, Phone
 from tests.poser.live.sources.test_slimevr import Trackers
@@ -48,6 +50,8 @@ def main() -> None:
         show(f"slimevr, {way} packets", *slimevr(worn, way))
     show("slimevr, bundles, 2 % lost", *slimevr(worn, "bundle", 0.02))
     show("mvn", *mvn_suit(worn))
+    for kind in SETS:
+        show(kind, *by_frames(worn, kind))
     for batch_s in (0.1, 0.2):
         show(f"sensorlogger, batches of {batch_s:g} s", *logger(carried, batch_s))
 
@@ -102,13 +106,18 @@ def mvn_suit(worn: Recording) -> tuple[float, float]:
         )  # fmt: skip
 
 
-class Post:
-    """Brings letters without a network."""
+def by_frames(worn: Recording, kind: str) -> tuple[float, float]:
+    """Of the sets of the tests whose devices send each frame as it is measured."""
+    time = Time()
+    made = SETS[kind](worn, time)
 
-    def start(self, post: Mailbox) -> None:
-        self.box = post
+    def send(k: int) -> None:
+        for s in range(len(worn.sensors)):
+            made.bring(s, made.frame(s, k, at(k)))
 
-    def stop(self) -> None: ...
+    with closing(made), closing(made.intake):
+        buffer_s = sources.kind(kind).buffer_s
+        return lags(made.intake, time, worn, send, made.where(), buffer_s)
 
 
 def logger(carried: Recording, batch_s: float) -> tuple[float, float]:

@@ -1,9 +1,9 @@
 """A set of SlimeVR trackers that is not there: six boards that replay the built-in motion over UDP.
 
-Stands for ten seconds, walks, then does the built-in motion. Each board has its own mounting and heading.
-Start poser first, with the map that this prints:
-poser live --source slimevr --map MAP --sink viewer
-Run: python examples/slimevr_set.py [--port 6969] [--seconds 60]
+Once poser has met them all, they stand for twelve seconds, walk, then do the built-in motion, over and over.
+Each board has its own mounting and heading. Start this; then in another terminal, with the map it prints:
+poser quickstart --source slimevr --map MAP
+Run: python examples/slimevr_set.py [--port 6969] [--seconds 600]
 """
 
 import argparse
@@ -20,10 +20,10 @@ from mocap.synthesis import motions
 RATE = 100.0
 parser = argparse.ArgumentParser()
 parser.add_argument("--port", type=int, default=6969)
-parser.add_argument("--seconds", type=float, default=60.0)
+parser.add_argument("--seconds", type=float, default=600.0)
 args = parser.parse_args()
 
-parts = [motions.stand(10.0), motions.walk(15.0), motions.builtin()]
+parts = [motions.stand(12.0), motions.walk(15.0), motions.builtin()]
 motion = synthesis.prepare(motions.joined(parts), RATE, 8.0)
 raw = synthesis.raw_recording(motion, sensors.SIX, synthesis.NOISES["realistic"], rng=0)
 own = ori.rot_y(np.random.default_rng(1).uniform(-np.pi, np.pi, len(raw.sensors)))
@@ -63,9 +63,9 @@ def send(s: int, kind: int, body: bytes) -> None:
         met[s] = False  # poser is not there
 
 
-began, sent = time.monotonic(), 0
+began, sent, t = time.monotonic(), 0, 0
 for k in range(round(args.seconds * RATE)):
-    t = k % len(raw)
+    t = (t + 1) % len(raw) if all(met) else 0
     for s, mac in enumerate(macs):
         listen(s)
         if not met[s]:

@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-from hybrid import valley
 from hybrid.settings import TrackerSettings
 from mocap.errors import SolveError
 from mocap.estimator import Pose, Sample
@@ -34,11 +33,9 @@ NO_WINDOW = "the window begins later"
 NO_TIME = "no time for the window"
 TOO_SLOW = "the window was over its time"
 SHORTENED = "the window got shorter"
-RESTED = "the window began anew from the network's poses"
-EVENTS = (FAILED, NO_TIME, TOO_SLOW, SHORTENED, RESTED)
+EVENTS = (FAILED, NO_TIME, TOO_SLOW, SHORTENED)
 SLACK = 0.7  # share of the time under which a window may grow
 FAST, SLOW = 0.2, 0.02  # how quickly the mean of the frames' times follows them up, and down
-VALLEY_FRAMES = 4  # in which the window and the one in the network's valley take turns
 PAUSE_S = 1.0  # without a window, where the shortest one takes too long
 
 
@@ -59,8 +56,7 @@ class WindowState:
     solved: the window; empty at a start. times: s of its frames, oldest first. shift (3,) m: from its places
     to the path, None until a pose of it was given. size: frames that the machine has time for. frame_s: mean
     time of a frame of late. pause: frames to go without a window. steps, frames: taken so far.
-    waited: frames since the network's valley was last looked at. rival: the window in that valley, while
-    it is being looked at. std_rad (24,3) of the poses, computed std_age frames ago. shown: the poses given
+    std_rad (24,3) of the poses, computed std_age frames ago. shown: the poses given
     last, in the window's places, the last of them at shown_s.
     """
 
@@ -72,8 +68,6 @@ class WindowState:
     pause: int = 0
     steps: int = 0
     frames: int = 0
-    waited: int = 0
-    rival: HorizonState | None = None
     std_rad: Array | None = None
     std_age: int = 0
     shown: Shown | None = None
@@ -105,9 +99,7 @@ class Window:
         self.most = max(self._longest.size, self.least)
         self._by_size: dict[int, Horizon] = {}
         self._beliefs = Beliefs(settings)
-        self._valley_frames, self._deviation_frames = (
-            max(1.0, s * rate_hz) for s in (settings.valley_s, settings.deviations_s)
-        )
+        self._deviation_frames = max(1.0, settings.deviations_s * rate_hz)
 
     def start(self) -> WindowState:
         """Nothing seen yet."""
@@ -115,15 +107,7 @@ class Window:
 
     def restarted(self, state: WindowState) -> WindowState:
         """Nothing seen yet, on a machine that is known."""
-        return replace(
-            state,
-            solved=self._longest.init(),
-            times=(),
-            shift=None,
-            shown=None,
-            waited=0,
-            rival=None,
-        )
+        return replace(state, solved=self._longest.init(), times=(), shift=None, shown=None)
 
     def _of_size(self, size: int) -> Horizon:
         if size not in self._by_size:
@@ -153,10 +137,9 @@ class Window:
                 solved = state.solved
                 for _ in range(len(solved) - state.size):
                     solved = horizon.without_oldest(solved)
-                state = replace(state, solved=solved, rival=None)
+                state = replace(state, solved=solved)
             with _libraries().limit(limits=1, user_api="blas"):
                 state = self._entered(state, horizon, sample, pose)
-                state = self._compared(state, horizon, counts)
                 state = self._improved(state, horizon, began)
         except (SolveError, ArithmeticError, np.linalg.LinAlgError, ValueError) as e:
             raise WindowFailed(FAILED) from e
@@ -184,49 +167,22 @@ class Window:
             if off.min() < 0.5 / self.rate_hz:
                 belief = self._beliefs.of(pose)
 
-        def fed(solved: HorizonState, still: bool) -> HorizonState:
-            for _ in range(missing):
-                solved = horizon.step(solved, Evidence.blank(1, S))
-            return horizon.step(solved, evidence_of(sample), belief, age, still)
-
-        # One of the two moves on a frame: the time of a frame is that of any other.
-        waits, rival = state.rival is not None and state.waited % 2 == 0, state.rival
-        solved = fed(state.solved, waits)
-        if rival is not None:
-            rival = fed(rival, not waits)
+        solved = state.solved
+        for _ in range(missing):
+            solved = horizon.step(solved, Evidence.blank(1, S))
+        solved = horizon.step(solved, evidence_of(sample), belief, age)
         return replace(
             state,
             solved=solved,
-            rival=rival,
             times=times[len(times) - len(solved) :] if len(solved) else (),
-            waited=state.waited + 1,
             steps=state.steps + 1,
             frames=state.frames + 1,
         )
 
-    def _compared(
-        self, state: WindowState, horizon: Horizon, counts: defaultdict[str, int]
-    ) -> WindowState:
-        """The state in the cheaper valley, its own or the network's, where it is time to compare them.
-
-        The network's has some frames to settle, in turns with the window.
-        """
-        if state.waited < self._valley_frames or len(state.solved) < horizon.size:
-            return state
-        if state.rival is None:
-            return replace(state, rival=valley.rival(horizon, state.solved))
-        if state.waited < self._valley_frames + VALLEY_FRAMES:
-            return state
-        solved = state.solved
-        if valley.cheaper(horizon, solved, state.rival):
-            solved = state.rival
-            counts[RESTED] += 1
-        return replace(state, solved=solved, rival=None, waited=0)
-
     def _improved(self, state: WindowState, horizon: Horizon, began: float) -> WindowState:
-        """The state after the further steps that there are, or that the clock allows; none beside a rival."""
+        """The state after the further steps that there are, or that the clock allows."""
         budget, steps = self.settings.budget_s, 1
-        while steps < self.settings.steps and len(state.solved) and state.rival is None:
+        while steps < self.settings.steps and len(state.solved):
             spent = time.perf_counter() - began
             if budget is not None and spent * (steps + 1) / steps > budget:
                 break
@@ -265,7 +221,6 @@ class Window:
         if off[t] > 0.5 / self.rate_hz:
             return state, None
         again = state.std_rad is None or state.std_age >= self._deviation_frames
-        again &= state.std_rad is None or state.solved.factor is not None
         asked = again and math.isfinite(self._deviation_frames)
         follows = abs(time_s - state.shown_s - 1 / self.rate_hz) < 0.5 / self.rate_hz
         before, lag = state.shown if follows else None, len(state.times) - 1 - t

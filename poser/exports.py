@@ -56,3 +56,5 @@ WRITERS: dict[str, Callable[[Path, Motion, Export], None]] = {
     ".bvh": _bvh, ".glb": _glb, ".sto": _sto, ".trc": _trc,
 }  # fmt: skip
 """Suffix -> what writes it: whole or not at all."""
+SUFFIXES = (".npz", *WRITERS)
+"""Of the files that a motion can be written to."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from poser.console import UsageError
-from poser.exports import LOOKS
+from poser.exports import LOOKS, SUFFIXES
 
 if TYPE_CHECKING:
     from mocap.formats import Options
@@ -240,6 +240,21 @@ def add_solving_rate(parser: ArgumentParser) -> None:
 def add_output(parser: ArgumentParser, metavar: str, help: str) -> None:
     """-o FILE, required."""
     parser.add_argument("-o", "--output", type=Path, required=True, metavar=metavar, help=help)
+
+
+def add_motion_output(parser: ArgumentParser) -> None:
+    """-o for the motion that a command makes."""
+    what = f"the motion: an AMASS-style .npz, or {', '.join(SUFFIXES[1:])} for other tools"
+    add_output(parser, "MOTION.npz", f"{what} (poser convert has more to say of these)")
+
+
+def check_uncertainty(args: Namespace) -> None:
+    """Raises UsageError where --uncertainty is to go into a file that cannot hold it."""
+    suffix = args.output.suffix.lower()
+    if args.uncertainty and suffix != ".npz":
+        raise UsageError(
+            f"argument --uncertainty: a {suffix} file cannot hold it, an .npz file can"
+        )
 
 
 def stand_behind(parser: ArgumentParser, dest: str) -> None:

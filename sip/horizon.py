@@ -147,25 +147,19 @@ class Horizon:
         return HorizonState(doubt=np.zeros(S), heard=np.zeros(S))
 
     def step(
-        self,
-        state: HorizonState,
-        frame: Evidence,
-        belief: PoseBelief | None = None,
-        age: int = 0,
-        still: bool = False,
+        self, state: HorizonState, frame: Evidence, belief: PoseBelief | None = None, age: int = 0
     ) -> HorizonState:
         """The state after one more frame, and after the Gauss-Newton steps that it is worth.
 
         frame: its evidence, one frame long. belief: what the network says about the frame `age` frames
-        before it, one frame long. still: no step in a full window, the frame waits for the next.
-        Frames before the first that has any orientation tell nothing and are left out. Raises SolveError
-        where no finite cost can be had.
+        before it, one frame long. Frames before the first that has any orientation tell nothing and are left
+        out. Raises SolveError where no finite cost can be had.
         """
         if not len(state) and not frame.ori_valid.any():
             return state
         state = self.grounded(self._entered(replace(state, factor=None), frame))
         full = len(state) == self.size
-        steps = self.how.growing_steps if not full else 0 if still else self.how.steps
+        steps = self.how.steps if full else self.how.growing_steps
         if belief is None or age >= len(state) or not belief.valid[0]:
             return self._after(state, steps)
         first = not state.heard.any()

@@ -43,7 +43,7 @@ PLACES: dict[str, str] = {
 }  # fmt: skip
 """Segments that carry a sensor, and the places of the table."""
 
-_SEGMENTS = (
+CARRIERS = (
     "Pelvis", "LeftUpperLeg", "RightUpperLeg", "L5", "LeftLowerLeg", "RightLowerLeg", "T12",
     "LeftFoot", "RightFoot", "T8", "LeftToe", "RightToe", "Neck", "LeftShoulder", "RightShoulder",
     "Head", "LeftUpperArm", "RightUpperArm", "LeftForeArm", "RightForeArm", "LeftHand", "RightHand",
@@ -201,12 +201,18 @@ def straightened(body: Skeleton) -> dict[int, Array]:
     return {joint: S.T for joint, S in turns.items()}
 
 
+def root(p_world_pelvis: Array, R_world_pelvis: Array, body: Skeleton) -> Array:
+    """p_world_root (...,3) m of where the pelvis segment's origin is, which lies between the hips."""
+    between = body.rest_positions[[1, 2]].mean(axis=0) - body.offsets[0]
+    return np.asarray(p_world_pelvis - R_world_pelvis @ between)
+
+
 def _bones(take: _Take, R: Array, body: Skeleton) -> Array:
     """R_world_bone (T,N,3,3) of our body from R_world_segment, segments as they are named."""
     R = np.array(R)
     for joint, R_segment_bone in straightened(body).items():
-        if _SEGMENTS[joint] in take.segments:
-            i = take.segments.index(_SEGMENTS[joint])
+        if CARRIERS[joint] in take.segments:
+            i = take.segments.index(CARRIERS[joint])
             R[:, i] = R[:, i] @ R_segment_bone
     return R
 
@@ -269,20 +275,17 @@ def _motion(
 ) -> tuple[Motion | None, slice, tuple[Finding, ...]]:
     """R_world_bone (N,n,3,3) by segment, on our tree, the frames that it covers, and what was mended.
 
-    The pelvis segment's origin lies between the hips. None where more than half of the frames are beyond a
+    None where more than half of the frames are beyond a
     hole too long to be bridged.
     """
-    index = [take.segments.index(n) for n in _SEGMENTS]
+    index = [take.segments.index(n) for n in CARRIERS]
     R_world_joint = R[:, index]
     position = _positions(path, take)
-    between = body.rest_positions[[1, 2]].mean(axis=0) - body.offsets[0]
     if position is None:
         p = np.zeros((len(R), 3))
     else:
-        p = (
-            position[:, take.segments.index("Pelvis")] @ R_OURS_MVN.T
-            - R_world_joint[:, 0] @ between
-        )
+        pelvis = position[:, take.segments.index("Pelvis")] @ R_OURS_MVN.T
+        p = root(pelvis, R_world_joint[:, 0], body)
     mended = _holes.rotations(clock.placed(R_world_joint), clock.rate_hz)
     if not np.isfinite(mended.values).all():
         return None, slice(0, len(mended.values)), ()
@@ -382,7 +385,7 @@ def _read(path: Path, options: Options) -> Document:
         raise FormatError(path, "not finite", where)
     body, assumed = _body(take, options)
     R = _bones(take, R, body)
-    missing = [n for n in dict.fromkeys(_SEGMENTS) if n not in take.segments]
+    missing = [n for n in dict.fromkeys(CARRIERS) if n not in take.segments]
     motion, kept = None, slice(0, int(clock.frames[-1]) + 1)
     if missing:
         doubts.append(doubt("segments-missing", segments=", ".join(missing)))

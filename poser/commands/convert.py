@@ -17,14 +17,13 @@ from typing import TYPE_CHECKING
 from mocap.errors import FormatError
 from poser import files, options
 from poser.console import DONE, UsageError, note, progress, say
-from poser.exports import PROFILES, RESTS, WRITERS, Export
+from poser.exports import PROFILES, RESTS, SUFFIXES, Export
 
 if TYPE_CHECKING:
     from mocap.formats import Content, Document
     from mocap.recording import Recording
 
 HELP = "between file formats"
-SUFFIXES = (".npz", *WRITERS)
 
 
 def add_arguments(parser: ArgumentParser) -> None:

@@ -48,7 +48,8 @@ def add_arguments(parser: ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--sink", action="append", default=[], metavar="S",
-        help="FILE.npz, FILE.bvh, FILE.rrd, vmc:PORT, vrchat, lsl or viewer; may be repeated",
+        help="FILE.npz, FILE.bvh, FILE.glb, FILE.sto, FILE.trc, FILE.rrd, vmc:PORT, vrchat, lsl or viewer; "
+        "may be repeated",
     )  # fmt: skip
     parser.add_argument(
         "--list", action="store_true", help="show what is heard for --seconds (5), and end"
@@ -125,7 +126,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def run(args: Namespace) -> int:
     from mocap.skeleton import Skeleton
-    from poser.live import loop, opening, telling
+    from poser.live import asking, loop, opening, telling
 
     origin = opening.origin(args.source)
     if args.list:
@@ -150,6 +151,7 @@ def run(args: Namespace) -> int:
         source.open()
         begun = True
         _announce(args, origin, source, network, sinks)
+        asking.offer(source, sinks)
         loop.run(source, estimator, sinks, skeleton, report, telling.Teller(source, sinks).tell)
     finally:
         loop.close(source, sinks, report)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from mocap.errors import PoserError
 from poser import files, named_starts, options
 from poser.console import DONE, UsageError, emit, note, progress, say, table
+from poser.exports import SUFFIXES
 
 if TYPE_CHECKING:
     import numpy as np
@@ -24,7 +25,7 @@ HELP = "offline poses from a recording: SIP or SOP"
 
 def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("recording", type=Path, metavar="REC", help="a calibrated recording")
-    options.add_output(parser, "MOTION.npz", "the motion: an AMASS-style .npz, or .bvh")
+    options.add_motion_output(parser)
     parser.add_argument("--terms", choices=("sip", "sop"), default="sip", help="default: sip")
     parser.add_argument("--sensors", metavar="S", help=f"{options.SENSORS_HELP} (default: all)")
     parser.add_argument(
@@ -87,13 +88,11 @@ def run(args: Namespace) -> int:
     given = [Path(name) for name in names if name not in named_starts.KNOWN]
     for path in given:
         files.check_there(path, "--start", named_starts.KNOWN)
-    files.check_output(
-        args.output, [args.recording, *given, *([args.smpl] if args.smpl else [])], (".npz", ".bvh")
-    )
+    inputs = [args.recording, *given, *([args.smpl] if args.smpl else [])]
+    files.check_output(args.output, inputs, SUFFIXES)
     if args.plot:
         files.check_output(args.plot, [args.recording, args.output], (".png",))
-    if args.uncertainty and args.output.suffix.lower() == ".bvh":
-        raise UsageError("argument --uncertainty: a .bvh file cannot hold it, an .npz file can")
+    options.check_uncertainty(args)
     whole = files.recording(args.recording, gaps=False)
     with files.about(args.recording):
         chosen = whole.select(options.sensors(args.sensors, whole.sensors))

@@ -16,6 +16,7 @@ from learned.registry import specification
 from mocap.errors import PoserError
 from poser import estimators, files, options
 from poser.console import DONE, UsageError, emit, note, progress, say
+from poser.exports import SUFFIXES
 
 if TYPE_CHECKING:
     from mocap.recording import Recording
@@ -34,7 +35,7 @@ def window(text: str) -> tuple[int, int]:
 
 def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("recording", type=Path, metavar="REC", help="a calibrated recording")
-    options.add_output(parser, "MOTION.npz", "the motion: an AMASS-style .npz, or .bvh")
+    options.add_motion_output(parser)
     parser.add_argument("--method", choices=estimators.METHODS, required=True, help="what tracks")
     parser.add_argument(
         "--network", choices=estimators.NETWORKS, help="the hybrid's network (default: dip)"
@@ -74,10 +75,9 @@ def run(args: Namespace) -> int:
         estimators.check_window(network, args.window)
     except PoserError as e:
         raise UsageError(f"argument --window: {e}") from e
-    if args.uncertainty and args.output.suffix.lower() == ".bvh":
-        raise UsageError("argument --uncertainty: a .bvh file cannot hold it, an .npz file can")
+    options.check_uncertainty(args)
     inputs = [args.recording, *([args.weights] if args.weights else [])]
-    files.check_output(args.output, inputs, (".npz", ".bvh"))
+    files.check_output(args.output, inputs, SUFFIXES)
     estimators.check_weights(args.weights, network)
     whole = files.recording(args.recording, gaps=False)
     with files.about(args.recording):

@@ -243,6 +243,13 @@ class Assembler:
         """Devices unheard for SILENT_S."""
         return tuple(n for n, s in self._streams.items() if now_s - s.heard_s > SILENT_S)
 
+    def device_time(self, name: str, time_s: float) -> float | None:
+        """A row's time on a device's own clock; None before its first packet."""
+        stream = self._streams[name]
+        if self.start_s is None or not stream.kept:
+            return None
+        return self.start_s + time_s - stream.clock.offset
+
     def _time(self, k: int) -> float:
         return -np.inf if self.start_s is None or k < 0 else self.start_s + k / self.rate_hz
 

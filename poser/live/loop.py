@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from mocap.estimator import Estimator, Pose, Sample, facts
+from mocap.orientation import Array
 from mocap.skeleton import TOES, Skeleton
 from poser.live.latency import Latency
 from poser.live.samples import Source
@@ -72,18 +73,23 @@ def run(
     `report` is filled as it goes, so that it holds after an interruption too; `close` completes it.
     tell(report) is called once a poll.
     """
-    state = estimator.init()
-    floor: float | None = None
+    state, turns = estimator.init(), source.turns
+    shift: Array | None = None
+    last: Pose | None = None
     sample: Sample | None = None
 
     def delivered(pose: Pose) -> None:
-        nonlocal floor
-        if floor is None:
-            floor = _floor(pose, skeleton)
-        _deliver(_raised(pose, -floor), sinks, report)
+        nonlocal shift, last
+        if shift is None:
+            shift = _onto_floor(pose, skeleton, last)
+        last = replace(pose, p_world_root=pose.p_world_root + shift)
+        _deliver(last, sinks, report)
 
     while not source.ended:
         for sample in source.poll():
+            if source.turns != turns:
+                # Of another world than all before: the estimator begins anew, where the body is.
+                state, turns, shift = estimator.init(), source.turns, None
             report.behind_s = source.behind_s(sample.time_s)
             report.most_behind_s = max(report.most_behind_s, report.behind_s)
             began = time.perf_counter()
@@ -125,14 +131,13 @@ def _deliver(pose: Pose, sinks: Sequence[Sink], report: Report) -> None:
         report.notes[pose.note] += 1
 
 
-def _floor(pose: Pose, skeleton: Skeleton) -> float:
-    """Height in m of the floor under the lower foot: sensors do not tell how high a body is."""
+def _onto_floor(pose: Pose, skeleton: Skeleton, last: Pose | None) -> Array:
+    """(3,) m by which a pose is moved: its lower foot onto the floor, since sensors do not tell how high a
+    body is, and to where the last one was delivered."""
     _, p = skeleton.forward(pose.R_parent_joint, pose.p_world_root)
-    return float(p[list(TOES), 1].min()) - skeleton.sole
-
-
-def _raised(pose: Pose, height: float) -> Pose:
-    return replace(pose, p_world_root=pose.p_world_root + np.array([0.0, height, 0.0]))
+    shift = np.zeros(3) if last is None else last.p_world_root - pose.p_world_root
+    shift[1] = skeleton.sole - float(p[list(TOES), 1].min())
+    return shift
 
 
 def close(source: Source, sinks: Sequence[Sink], report: Report) -> None:

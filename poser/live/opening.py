@@ -14,12 +14,14 @@ from poser import estimators, options
 from poser.console import UsageError
 from poser.live import addresses, sources
 from poser.live.addresses import Address
-from poser.live.sources.protocol import Intake, Kind, Told
+from poser.live.sources.protocol import Intake, Kind, Told, Witness
 
 if TYPE_CHECKING:
-    from mocap.calibration import PoseName
+    from mocap.calibration import Calibration, PoseName
     from mocap.recording import RawRecording
-    from poser.live.alignment import Constants, Watch
+    from poser.live.aligner import Aligner, Reset
+    from poser.live.alignment import Watch
+    from poser.live.recorder import Recorder
     from poser.live.samples import Network
 
 
@@ -113,9 +115,7 @@ def _recorded(raw: RawRecording, args: Namespace, network: str) -> tuple[str, ..
 def _network(
     origin: Origin, args: Namespace, sensors: tuple[str, ...], where: Mapping[str, str]
 ) -> Network:
-    from poser import files
     from poser.live.assembler import Assembler
-    from poser.live.recorder import Recorder
     from poser.live.samples import Network
 
     kind = origin.kind
@@ -124,18 +124,28 @@ def _network(
         raise UsageError("argument --speed: for a calibrated recording alone")
     own = {"own": True, "shared": False}.get(args.headings, kind.own_headings)
     tracker = _tracker(args)
-    table, watch = _alignment(args, sensors, own, kind)
-    recorder = None
-    if args.record is not None:
-        files.check_output(args.record, [Path(args.source)], (".npz",))
-        names = tuple(place or device for device, place in where.items())
-        recorder = Recorder(args.record, names, args.rate, own)
+    aligner = _aligner(args, sensors, own, kind)
     buffer = kind.buffer_s if args.buffer is None else args.buffer
     assembler = Assembler(tuple(where), args.rate, buffer)
     found = intake(kind, origin, args, sensors)
+    recorder = None if args.record is None else _recorder(args, kind, found, where, own)
     return Network(
-        found, assembler, sensors, where, table, watch, tracker, args.seconds, recorder=recorder
+        found, assembler, sensors, where, aligner, tracker, args.seconds, recorder=recorder
     )
+
+
+def _recorder(
+    args: Namespace, kind: Kind, devices: Intake, where: Mapping[str, str], own: bool
+) -> Recorder:
+    from mocap.skeleton import Skeleton
+    from poser import files
+    from poser.live.recorder import Recorder
+
+    files.check_output(args.record, [Path(args.source)], (".npz",))
+    names = tuple(place or device for device, place in where.items())
+    bones = calibration(args, kind) == "bones" and not args.devices
+    body = Skeleton.default(args.height) if bones and isinstance(devices, Witness) else None
+    return Recorder(args.record, names, args.rate, own, bones, body)
 
 
 def _worn(args: Namespace, network: str) -> tuple[str, ...]:
@@ -191,28 +201,25 @@ def _tracker(args: Namespace) -> Any:
     return DeviceTracker(Preferences(*words), args.rate)  # type: ignore[arg-type]
 
 
-def _alignment(
-    args: Namespace, sensors: tuple[str, ...], own: bool, kind: Kind
-) -> tuple[Mapping[str, Constants] | None, Watch | None]:
-    """The constants of a file, or who waits for the pose, or neither for bones."""
+def _aligner(args: Namespace, sensors: tuple[str, ...], own: bool, kind: Kind) -> Aligner:
+    """The constants of a file, or who waits for the pose, or nothing for bones."""
     from poser.live import alignment
-    from poser.live.device_headings import HeadingWatch, WalkWatch
+    from poser.live.aligner import Aligner
+    from poser.live.device_headings import HeadingWatch
 
     how = calibration(args, kind)
     if args.reset is not None and how in ("n", "t", "bones"):
         raise UsageError("argument --reset: for a calibration from a file")
     if how == "bones":
-        return None, None
+        return Aligner()
     if how in ("n", "t"):
         if args.devices:
             raise UsageError(
                 "argument --devices: needs --calibration FILE or bones, since a device changes places"
             )
-        pose: PoseName = "n" if how == "n" else "t"
-        if own:
-            return None, WalkWatch(sensors, args.rate, pose, args.facing, args.countdown)
-        facing = 0.0 if args.facing is None else args.facing
-        return None, alignment.PoseWatch(sensors, args.rate, pose, facing, args.countdown)
+        resets = _resets(args, sensors, own, "n" if how == "n" else "t")
+        watch = resets["walk" if own else "pose"](None, args.countdown)
+        return Aligner(None, watch, None, resets, args.countdown)
     known = alignment.read(Path(how))
     found = alignment.constants(known)
     missing = [n for n in sensors if n not in {key.rpartition("@")[2] for key in found}]
@@ -221,10 +228,34 @@ def _alignment(
             f"argument --calibration: {how} lacks sensor {', '.join(missing)}; "
             f"it has: {', '.join(found)}"
         )
+    if args.devices:
+        return Aligner(found)
     stands = reset(args, kind, own)
-    if stands is None or args.devices:
-        return found, None
-    return None, HeadingWatch(known, sensors, args.rate, stands, args.countdown)
+    resets = _resets(args, sensors, own, stands or "n")
+    if stands is None:
+        return Aligner(found, None, known, resets, args.countdown)
+    anew = HeadingWatch(known, sensors, args.rate, stands, args.countdown)
+    return Aligner(None, anew, known, resets, args.countdown)
+
+
+def _resets(
+    args: Namespace, sensors: tuple[str, ...], own: bool, pose: PoseName
+) -> dict[str, Reset]:
+    """What finds constants, at the start and while the session runs: by standing still in the pose; and by
+    walking, where each device has a heading of its own."""
+    from poser.live.alignment import PoseWatch
+    from poser.live.device_headings import HeadingWatch, WalkWatch
+
+    def standing(known: Calibration | None, begin_s: float) -> Watch:
+        if own and known is not None:
+            return HeadingWatch(known, sensors, args.rate, pose, begin_s)
+        facing = 0.0 if args.facing is None else args.facing
+        return PoseWatch(sensors, args.rate, pose, facing, begin_s)
+
+    def walking(known: Calibration | None, begin_s: float) -> Watch:
+        return WalkWatch(sensors, args.rate, pose, args.facing, begin_s)
+
+    return {"pose": standing, "walk": walking} if own else {"pose": standing}
 
 
 def calibration(args: Namespace, kind: Kind) -> str:

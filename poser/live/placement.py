@@ -10,12 +10,14 @@ import numpy as np
 
 from mocap import orientation as ori
 from mocap import sensors as places
+from mocap.body import mesh_skin
 from mocap.formats._files import write_aside
 from mocap.orientation import Array
-from mocap.skeleton import JOINTS, PARENTS, Skeleton
+from mocap.skeleton import JOINTS, Skeleton
 
 ARMS_DEG = 40.0  # below the horizontal, so that nothing hides anything
-THICK = {"thigh": 17.0, "shank": 13.0, "trunk": 36.0, "arm": 11.0, "head": 24.0, "foot": 9.0}
+SKIN = np.array([0.84, 0.86, 0.89])
+LIGHT = np.array([0.3, 0.4, 0.87])  # towards it, from where the body is seen
 _WORDS = {
     "pelvis": "at the back, on the sacrum, under the belt",
     "head": "on a headband or cap, at the side",
@@ -55,7 +57,7 @@ def draw(path: Path, sensors: Sequence[str], skeleton: Skeleton | None = None) -
     for k, title in enumerate(("front", "back")):
         axes = figure.add_axes((0.02 + 0.49 * k, 0.02, 0.47, 0.9))
         # From the front the wearer's left is on the right of the picture.
-        _view(axes, R, p, sensors, 1.0 if k == 0 else -1.0)
+        _view(axes, body, R, p, sensors, 1.0 if k == 0 else -1.0)
         axes.set_title(title)
     figure.text(
         0.5, 0.02, "an empty circle is on the other side of the body", ha="center", fontsize=9
@@ -72,14 +74,25 @@ def _stance(body: Skeleton) -> tuple[Array, Array]:
     return body.forward(R, np.array([0.0, 0.95, 0.0]))
 
 
-def _view(axes: Any, R: Array, p: Array, sensors: Sequence[str], side: float) -> None:
+def _view(
+    axes: Any, body: Skeleton, R: Array, p: Array, sensors: Sequence[str], side: float
+) -> None:
     """One view. side: 1 from the front, -1 from behind."""
-    for j, parent in enumerate(PARENTS):
-        if parent >= 0:
-            x, y = side * p[[parent, j], 0], p[[parent, j], 1]
-            axes.plot(x, y, color="#c9ced6", lw=_width(JOINTS[j]), solid_capstyle="round", zorder=1)
-    head = p[JOINTS.index("head")]
-    axes.plot(side * head[0], head[1] + 0.06, "o", ms=30, color="#c9ced6", zorder=1)
+    from matplotlib.collections import PolyCollection
+
+    look = mesh_skin(body)
+    # A turn about the vertical: as seen from behind.
+    corners = (look.posed(R, p) * [side, 1, side])[look.faces]
+    n = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    n /= np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-12)
+    near = np.flatnonzero(n[:, 2] > 0)
+    near = near[np.argsort(corners[near, :, 2].mean(axis=1))]
+    shade = SKIN * (0.62 + 0.38 * np.clip(n[near] @ LIGHT, 0, 1))[:, None]
+    axes.add_collection(
+        PolyCollection(
+            list(corners[near, :, :2]), facecolors=shade, edgecolors=shade, linewidths=0.3
+        )
+    )
     for name in sensors:
         place = places.lookup(name)
         at = p[place.joint] + R[place.joint] @ np.array(place.position)
@@ -99,15 +112,9 @@ def _view(axes: Any, R: Array, p: Array, sensors: Sequence[str], side: float) ->
 
 def _label(axes: Any, name: str, x: float, y: float) -> None:
     right = x > 0.02 or (abs(x) <= 0.02 and name != "pelvis")
+    apart = 14 if abs(x) > 0.02 else 80  # beside the trunk, not on it
     axes.annotate(
-        name.replace("_", " "), (x, y), xytext=(14 if right else -14, 0), textcoords="offset points",
+        name.replace("_", " "), (x, y), xytext=(apart if right else -apart, 0), textcoords="offset points",
         ha="left" if right else "right", va="center", fontsize=9, zorder=4,
+        arrowprops={"arrowstyle": "-", "lw": 0.7, "color": "#d9480f"},
     )  # fmt: skip
-
-
-def _width(joint: str) -> float:
-    kinds = (
-        ("knee", "thigh"), ("ankle", "shank"), ("foot", "foot"), ("elbow", "arm"), ("wrist", "arm"),
-        ("hand", "arm"), ("head", "head"), ("neck", "head"),
-    )  # fmt: skip
-    return next((THICK[kind] for part, kind in kinds if joint.endswith(part)), THICK["trunk"])

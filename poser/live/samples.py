@@ -13,13 +13,13 @@ from mocap.calibration import Calibration
 from mocap.estimator import Sample, samples
 from mocap.orientation import Array
 from mocap.recording import Recording
-from poser.live import alignment
-from poser.live.alignment import Constants, Watch, to_sample
+from poser.live.aligner import Aligner
+from poser.live.alignment import to_sample
 from poser.live.assembler import Assembler, Row
 from poser.live.devices import DeviceTracker
 from poser.live.receiver import Now
 from poser.live.recorder import Recorder
-from poser.live.sources.protocol import Intake
+from poser.live.sources.protocol import Intake, Witness
 
 IDLE_S = 0.002  # the longest wait for something to happen, so that rows leave on time
 MOST_UNKNOWN = 3  # names of unknown devices that are kept: senders choose them, and never end
@@ -57,6 +57,11 @@ class Source(Protocol):
 
     def poll(self) -> list[Sample]:
         """The samples that are due, in order; waits a little where there are none."""
+        ...
+
+    @property
+    def turns(self) -> int:
+        """How often the world of its samples has changed: what was estimated before counts no more."""
         ...
 
     def lag_s(self, time_s: float) -> float | None:
@@ -99,6 +104,8 @@ class RecordingSource:
     def open(self) -> None:
         self._began = self._clock()
 
+    turns = 0
+
     @property
     def ended(self) -> bool:
         return self._next is None
@@ -140,10 +147,9 @@ class RecordingSource:
 class Network:
     """Samples of `sensors` from devices, through their intake.
 
-    where: the place of each device; a device that is not in it is refused. table: see
-    `alignment.to_sample`. watch: stands between: no sample before it has found the pose, and its
-    calibration is the table then. tracker: tells instead of `where` which devices are worn, and where.
-    seconds: end so long after `open`. recorder: keeps the rows as they come, before any calibration.
+    where: the place of each device; a device that is not in it is refused. aligner: knows the constants of
+    devices, or that there are none; no sample before it does. tracker: tells instead of `where` which devices
+    are worn, and where. seconds: end so long after `open`. recorder: keeps the rows as they come.
     """
 
     def __init__(
@@ -152,8 +158,7 @@ class Network:
         assembler: Assembler,
         sensors: tuple[str, ...],
         where: Mapping[str, str],
-        table: Mapping[str, Constants] | None = None,
-        watch: Watch | None = None,
+        aligner: Aligner | None = None,
         tracker: DeviceTracker | None = None,
         seconds: float | None = None,
         clock: Now = time.monotonic,
@@ -163,10 +168,9 @@ class Network:
         self.joint: NDArray[np.int64] | None = None
         self.seat: Array | None = None
         self._intake, self._assembler, self._clock = intake, assembler, clock
-        self._where, self._table, self._watch = where, table, watch
+        self._where, self._aligner = where, aligner or Aligner()
         self._tracker, self._recorder = tracker, recorder
         self._seconds, self._end_s = seconds, np.inf
-        self.calibration: Calibration | None = None
         self._heard: set[str] = set()
         self._unknown: list[str] = []
 
@@ -197,8 +201,24 @@ class Network:
             self._end_s = min(self._end_s, self._clock() + self._assembler.delay_s)
         rows = self._assembler.pull(self._clock())
         if self._recorder is not None:
-            self._recorder.take(rows)
-        return [s for s in map(self._sample, rows) if s is not None]
+            self._recorder.take(rows, self._whole)
+        due: list[Sample] = []
+        for row in rows:
+            turns = self.turns
+            if not self._aligner.push(row):
+                continue
+            if self.turns != turns:
+                due.clear()  # of the world before
+            due.append(self._sample(row))
+        return due
+
+    def _whole(self, time_s: float) -> tuple[Array, Array] | None:
+        """The pose as the devices' maker has it at a row's time."""
+        name = self._assembler.devices[0]
+        at = self._assembler.device_time(name, time_s)
+        if at is None or not isinstance(self._intake, Witness):
+            return None
+        return self._intake.pose(name, at)
 
     def _refuse(self, device: str) -> None:
         self._intake.rejected["device unknown"] += 1
@@ -207,34 +227,50 @@ class Network:
         if len(self._unknown) < MOST_UNKNOWN and name not in self._unknown:
             self._unknown.append(name)
 
-    def _sample(self, row: Row) -> Sample | None:
-        if self._watch is not None:
-            self.calibration = self._watch.push(row)
-            if self.calibration is None:
-                return None
-            self._table, self._watch = alignment.constants(self.calibration), None
+    def _sample(self, row: Row) -> Sample:
         where = self._where
         if self._tracker is not None:
             where = self._tracker.step(row, self._assembler.devices)
-        return to_sample(row, self._assembler.devices, where, self.sensors, self._table)
+        return to_sample(row, self._assembler.devices, where, self.sensors, self._aligner.table)
+
+    @property
+    def calibration(self) -> Calibration | None:
+        """The last one that was found."""
+        return self._aligner.calibration
+
+    @property
+    def turns(self) -> int:
+        return self._aligner.turns
+
+    @property
+    def resets(self) -> tuple[str, ...]:
+        """What may be asked for."""
+        return tuple(self._aligner.resets)
+
+    def ask(self, how: str) -> None:
+        """Ask for one of `resets`. Any thread may call this."""
+        self._aligner.ask(how)
+
+    @property
+    def trouble(self) -> str:
+        """Why the last reset failed; empty where it did not."""
+        return self._aligner.trouble
 
     @property
     def waiting(self) -> bool:
         """Whether the pose has not been found yet."""
-        return self._watch is not None
+        return self._aligner.waiting
 
     @property
     def walks(self) -> bool:
         """Whether walking is part of the calibration."""
-        return self._watch is not None and self._watch.walks
+        return self._aligner.walks
 
     @property
     def prompt(self) -> str:
         """What the wearer should do now; empty once the pose is found."""
         start = self._assembler.start_s
-        if self._watch is None or start is None:
-            return ""
-        return self._watch.prompt(self._clock() - start)
+        return "" if start is None else self._aligner.prompt(self._clock() - start)
 
     @property
     def missing(self) -> tuple[str, ...]:

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol, runtime_checkable
 
+from mocap.calibration import Calibration
 from poser.console import complain, say, table
 from poser.live.loop import Report
 from poser.live.samples import MOST_UNKNOWN, Network, Source
@@ -44,7 +45,8 @@ class Teller:
         self._terminal = sys.stderr is not None and sys.stderr.isatty()
         self._asked_missing = self._asked_unknown = not isinstance(source, Network)
         self._led: str | None = None
-        self._checked = False
+        self._checked: Calibration | None = None
+        self._trouble = ""
         self._doubled: set[str] = set()
 
     def tell(self, report: Report) -> None:
@@ -68,13 +70,17 @@ class Teller:
             sys.stderr.flush()
 
     def _check(self, source: Network) -> None:
-        """Once the pose was found: what the calibration rests on, and what is doubtful about it."""
-        if self._checked or source.calibration is None:
+        """Whenever the pose was found: what the calibration rests on, and what is doubtful about it. Where it
+        was not found anew, why."""
+        if source.trouble != self._trouble:
+            self._trouble = source.trouble
+            if self._trouble:
+                self._complain(f"not reset: {self._trouble}")
+        if source.calibration is None or source.calibration is self._checked:
             return
         from mocap import words
 
-        self._checked = True
-        found = source.calibration
+        self._checked = found = source.calibration
         self._complain(f"calibrated; where you face: {found.method}")
         for finding in found.diagnostics:
             if finding.severity != "info":
@@ -148,6 +154,8 @@ def status(report: Report, source: Source) -> str:
         words.append(f"latency {p50:.1f} ms (99 %: {p99:.1f})")
     if report.behind_s > BEHIND_S:
         words.append(f"{report.behind_s:.1f} s behind the source")
+    if isinstance(source, Network) and (told := source.prompt or source.trouble):
+        words.insert(0, told if source.prompt else f"not reset: {told}")
     facts = source.facts()
     if facts.get("rejected"):
         words.append(f"{sum(facts['rejected'].values())} messages refused")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import time
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -53,6 +54,12 @@ class ViewerSink:
     def tell(self, text: str) -> None:
         """A line in the page: how it goes."""
         self._text.content = plain(text)
+
+    def offer(self, words: Mapping[str, str], ask: Callable[[str], None]) -> None:
+        """A button for each of these {name: words}."""
+        for name, label in words.items():
+            button = self._server.gui.add_button(label)
+            button.on_click(lambda _, name=name: ask(name))
 
     def close(self) -> dict[str, Any]:
         stage.stop(self._server)

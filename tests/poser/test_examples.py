@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import importlib.util
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from mocap import orientation as ori
+from mocap.skeleton import JOINTS
+from mocap.synthesis import motions
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
@@ -55,4 +61,25 @@ def test_every_example_is_tested() -> None:
     assert names == {name for name, *_ in RUN} | {
         "send_udp",
         "slimevr_set",
-    }  # in live/test_sender.py, test_quickstart.py
+        "opensim_ik",
+    }  # in live/test_sender.py, test_quickstart.py, below
+
+
+@pytest.mark.skipif(
+    importlib.util.find_spec("opensim") is None, reason="OpenSim's wheel is not here"
+)
+def test_opensim_finds_the_angles_of_the_walk(tmp_path: Path) -> None:
+    """By IMUs and by markers: the knees bend as they did, to within 1 deg."""
+    line = [sys.executable, str(EXAMPLES / "opensim_ik.py"), "-o", str(tmp_path)]
+    done = subprocess.run(line, capture_output=True, text=True, timeout=120, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    walk = motions.walk(3.0)
+    knee = np.rad2deg(ori.angle(walk.R_parent_joint[:, JOINTS.index("left_knee")]))
+    for name in ("ik_motion.mot", "ik_motion_markers.mot"):
+        head, _, rows = (tmp_path / name).read_text().partition("endheader\n")
+        names, *values = rows.splitlines()
+        assert "inDegrees=yes" in head
+        found = np.array([line.split() for line in values], float)[
+            :, names.split().index("left_knee_rz")
+        ]
+        np.testing.assert_allclose(-found, knee, atol=1.0)

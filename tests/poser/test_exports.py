@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -44,6 +45,35 @@ def test_every_suffix_is_written(
     assert "motion, 90 frames at 30 Hz" in capsys.readouterr().out
     assert out.stat().st_size > 10_000
     assert {p.name for p in out.parent.iterdir()} == {"walk.npz", out.name}
+
+
+@pytest.mark.parametrize("suffix", exports.WRITERS)
+def test_solve_and_track_write_it_directly(suffix: str, folder: Path, tmp_path: Path) -> None:
+    """A solution as a file for other tools is what poser convert makes of its .npz."""
+    rec, own, other = str(folder / "rec" / "walk.npz"), tmp_path / "m.npz", tmp_path / f"x{suffix}"
+    direct = tmp_path / f"m{suffix}"
+    words = ["solve", rec, "--solver", "banded", "--terms", "sop", "-o"]
+    assert main([*words, str(own)]) == main([*words, str(direct)]) == 0
+    assert main(["convert", str(own), str(other)]) == 0
+    assert abs(direct.stat().st_size - other.stat().st_size) < 0.01 * other.stat().st_size
+    words = ["track", rec, "--method", "imuposer", "-o", str(tmp_path / f"t{suffix}")]
+    assert main(words) == 0
+    assert (tmp_path / f"t{suffix}").stat().st_size > 10_000
+
+
+def test_uncertainty_goes_into_npz_alone(folder: Path, tmp_path: Path, refusal: Any) -> None:
+    for words in (("solve",), ("track", "--method", "hybrid")):
+        command, *more = words
+        line = (
+            command,
+            folder / "rec" / "walk.npz",
+            *more,
+            "-o",
+            tmp_path / "m.glb",
+            "--uncertainty",
+        )
+        status, sentence = refusal(*line)
+        assert status == 2 and "a .glb file cannot hold it" in sentence
 
 
 def test_a_profile_is_written_and_read(walk: Path) -> None:

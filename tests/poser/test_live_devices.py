@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,10 +19,12 @@ import pytest
 from mocap import formats, sensors
 from mocap import orientation as ori
 from mocap.motion import Motion
-from mocap.recording import RawRecording
+from mocap.recording import RawRecording, Recording
+from mocap.synthesis import motions
 from poser.__main__ import main
 from poser.live import sinks, sources
 from tests.poser.live.conftest import estimators  # noqa: F401 (a fixture)
+from tests.poser.live.sources.test_mvn import suit
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -54,8 +57,6 @@ def test_nothing_heard_is_said(
 
 
 def test_what_is_refused_is_listed(free_port: int, capsys: pytest.CaptureFixture[str]) -> None:
-    import threading
-
     def send() -> None:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as s:
             for _ in range(50):
@@ -107,6 +108,45 @@ def test_a_session_is_recorded_and_played_again(
         "live", "--source", session, "--calibration", tmp_path / "c.npz", "--method", "dip"
     )
     assert facts["frames"] >= len(raw) - 2  # no pose is waited for
+
+
+def test_a_suit_s_session_needs_no_calibration_and_has_its_reference(
+    tmp_path: Path,
+    free_port: int,
+    answer: Any,
+    estimators: Any,  # noqa: F811
+) -> None:
+    """What MVN streams, recorded, is compared with what MVN made of it."""
+    session, motion = tmp_path / "s.npz", motions.builtin(seconds=8.0)
+
+    def send() -> None:
+        began = time.monotonic()
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as s:
+            for k in range(len(motion)):
+                s.sendto(suit(motion, k), ("127.0.0.1", free_port))
+                time.sleep(max(0.0, began + (k + 1) / 60 - time.monotonic()))
+
+    thread = threading.Thread(target=send)
+    thread.start()
+    words = (
+        "live",
+        "--source",
+        f"mvn:{free_port}",
+        "--method",
+        "dip",
+        "--seconds",
+        5,
+        "--buffer",
+        1.5,
+    )
+    answer(*words, "--record", session)
+    thread.join()
+    kept = formats.read(session).content
+    assert isinstance(kept, Recording) and kept.reference is not None
+    bones = kept.reference.R_world_joint[:, kept.joint]
+    ok = kept.ori_valid
+    assert ok.mean() > 0.5
+    assert np.rad2deg(np.median(ori.angle_between(kept.R_world_bone[ok], bones[ok]))) < 0.5
 
 
 @pytest.mark.usefixtures("estimators")

@@ -13,10 +13,9 @@ from mocap.motion import Motion
 from mocap.orientation import Array
 from mocap.skeleton import JOINTS, PARENTS, Skeleton
 from poser import files
+from poser.exports import SUFFIXES
 from poser.live.sinks.protocol import Sink, SinkKind, SinkOrder
 from poser.live.spool import Spool
-
-SUFFIXES = (".npz", ".bvh")
 
 
 class MotionFile:
@@ -67,4 +66,5 @@ def _make(told: SinkOrder) -> Sink:
     return MotionFile(path, told.rate_hz, told.skeleton)
 
 
-SINK = SinkKind("file", "FILE.npz, FILE.bvh", "a motion file, written at the end", _make, SUFFIXES)
+_SPELLING = ", ".join(f"FILE{suffix}" for suffix in SUFFIXES)
+SINK = SinkKind("file", _SPELLING, "a motion file, written at the end", _make, SUFFIXES)

@@ -82,7 +82,7 @@ class Gravity:
 
 class Phone:
     """One device's samples, and the packets they make. order: numbers them. known: the app's convention where
-    gravity does not come."""
+    gravity does not come. sent_s: the time of the last packet."""
 
     def __init__(self, name: str, order: InOrder, known: Convention | None = None):
         self.name, self._order = name, order
@@ -91,7 +91,7 @@ class Phone:
         self._turns: deque[tuple[float, Array]] = deque(maxlen=MEMORY)
         self._acc: deque[tuple[float, Array]] = deque(maxlen=MEMORY)
         self._down: deque[tuple[float, Array]] = deque(maxlen=MEMORY)
-        self._sent_s = -np.inf
+        self.sent_s = -np.inf
         self.late = 0
 
     @property
@@ -101,7 +101,7 @@ class Phone:
 
     def turn(self, time_s: float, R: Array) -> None:
         """An orientation, as the device's quaternion says."""
-        if time_s <= self._sent_s or (self._turns and time_s <= self._turns[-1][0]):
+        if time_s <= self.sent_s or (self._turns and time_s <= self._turns[-1][0]):
             self.late += 1
             return
         self._turns.append((time_s, R))
@@ -125,7 +125,7 @@ class Phone:
             down = _at(self._down, time_s)
             if down is not None:
                 self._gravity.see(R, down)
-            self._sent_s = time_s
+            self.sent_s = time_s
             yield self._packet(time_s, R, _at(self._acc, time_s))
 
     def _packet(self, time_s: float, R: Array, acc: Array | None) -> Packet:

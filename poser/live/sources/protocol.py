@@ -11,8 +11,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
+from mocap.orientation import Array
 from poser.live.addresses import Address
 from poser.live.heard import Heard
 from poser.live.packets import Packet
@@ -47,6 +48,16 @@ class Intake(Protocol):
         ...
 
     def close(self) -> None: ...
+
+
+@runtime_checkable
+class Witness(Protocol):
+    """An intake whose maker has solved the whole body himself: a reference to compare with."""
+
+    def pose(self, device: str, time_s: float) -> tuple[Array, Array] | None:
+        """R_world_joint (24,3,3), and the middle between the hips (3,) m, of the wearer of a device, at a
+        time of the device's clock; None where it is not known."""
+        ...
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,7 @@ from poser.live.sources.protocol import MAX_DEVICES, Intake, Kind, Told
 
 IOS = Convention(False, -ori.GRAVITY)
 MOBILEPOSER, IMUCOCO = 9, 14  # numbers in a line
+ANEW_S = 1.0  # a time so much before the last one is of an app that began anew
 MOBILEPOSER_MORE = 12  # with three angles behind
 
 
@@ -66,17 +67,21 @@ class Text:
             raise Rejected("not ID;TYPE:numbers")
         phone = self._phone(f"{words[0]}_{words[1]}")
         for part in body.split("&")[:MAX_MESSAGES]:
-            values = _numbers(part)
+            values, down = _numbers(part), None
             if len(values) == IMUCOCO:
                 time_s, acc, q = values[0], values[1:4], values[10:14]
-                phone.weigh(time_s, np.array(_within(values[4:7], MAX_ACC)))
+                down = np.array(_within(values[4:7], MAX_ACC))
             elif len(values) in (MOBILEPOSER, MOBILEPOSER_MORE):
                 time_s, acc, q = values[1], values[2:5], values[5:9]
             else:
                 raise Rejected("wrong number of values")
             x, y, z, w = _within(q, 2.0)
-            R = rotation(np.array([w, x, y, z]))
-            phone.feel(number(time_s, MAX_TIME_S), np.array(_within(acc, MAX_ACC)))
+            R, felt = rotation(np.array([w, x, y, z])), np.array(_within(acc, MAX_ACC))
+            if number(time_s, MAX_TIME_S) < phone.sent_s - ANEW_S:
+                phone = self._phones[phone.name] = Phone(phone.name, self._order, IOS)
+            if down is not None:
+                phone.weigh(time_s, down)
+            phone.feel(time_s, felt)
             phone.turn(time_s, R)
         yield from phone.packets()
 

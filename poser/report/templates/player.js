@@ -4,18 +4,21 @@ const data = JSON.parse(document.getElementById("player-data").textContent);
 const el = id => document.getElementById("pl-" + id);
 const bodies = el("bodies"), errors = el("errors"), slider = el("time");
 let rec = null, frame = 0, playing = false, yaw = -0.6, tilt = 0.2, last = 0, clock = 0;
-function decode(text) {
+function decode(text, kind) {
   const bin = atob(text), bytes = new Uint8Array(bin.length);
   for (let i = 0; i < bin.length; i++) bytes[i] = bin.charCodeAt(i);
-  return new Int16Array(bytes.buffer);
+  return new kind(bytes.buffer);
 }
+const skinned = skins(data, decode);
+el("look").disabled = !skinned;
+if (!skinned) el("look").value = "bones";
 data.recordings.forEach((r, i) => {
   const o = document.createElement("option"); o.value = i; o.textContent = r.name;
   el("recording").appendChild(o);
 });
 function load(i) {
   rec = data.recordings[i];
-  rec.tracks.forEach(t => { if (!t.p) t.p = decode(t.data); });
+  rec.tracks.forEach(t => { if (!t.p) { t.p = decode(t.data, Int16Array); t.q = decode(t.turns, Int16Array); } });
   slider.max = rec.tracks[0].frames - 1;
   frame = clock = 0; legend(); layout(); draw();
 }
@@ -48,6 +51,8 @@ function project(x, y, z, cell) {
 }
 function line(g, a, b) { g.beginPath(); g.moveTo(a[0], a[1]); g.lineTo(b[0], b[1]); g.stroke(); }
 function body(g, track, cell, ghost) {
+  if (el("look").value === "body")
+    return skinned(g, track, Math.min(frame, track.frames - 1), cell, yaw, tilt, ghost);
   const t = Math.min(frame, track.frames - 1) * 72, p = track.p;
   const at = j => project(p[t + 3 * j], p[t + 3 * j + 1], p[t + 3 * j + 2], cell);
   g.lineCap = "round";
@@ -128,6 +133,7 @@ el("play").onclick = function () {
 };
 slider.oninput = () => go(parseInt(slider.value, 10));
 el("recording").onchange = e => load(parseInt(e.target.value, 10));
+el("look").onchange = () => draw();
 errors.onclick = e => go(errors.seek(e.offsetX));
 let grip = null;
 bodies.onpointerdown = e => { grip = [e.clientX, e.clientY]; bodies.setPointerCapture(e.pointerId); };

@@ -121,6 +121,37 @@ def test_no_edge_of_the_mesh_is_stretched(name: str) -> None:
     assert (moved < at_rest + 0.035).all()
 
 
+LIMITS = {
+    "hip": ((-120, 0, 0), (25, 0, 0), (0, 0, 40), (0, 0, -25), (0, 40, 0), (0, -40, 0)),
+    "knee": ((140, 0, 0),),
+    "ankle": ((-25, 0, 0), (50, 0, 0), (0, 0, 25), (0, 0, -25)),
+    "shoulder": ((0, 0, -85), (0, 0, 85), (0, -110, 0), (0, 45, 0), (70, 0, 0), (-70, 0, 0)),
+    "collar": ((0, 0, 30), (0, -20, 0), (0, 20, 0)),
+    "elbow": ((0, -145, 0),),
+    "wrist": ((80, 0, 0), (0, 0, 75), (0, 0, -75)),
+    "neck": ((40, 0, 0), (-40, 0, 0), (0, 50, 0), (0, 0, 35)),
+    "head": ((35, 0, 0), (-35, 0, 0), (0, 50, 0)),
+    "spine1": ((40, 0, 0), (-20, 0, 0), (0, 25, 0), (0, 0, 25)),
+    "spine2": ((35, 0, 0), (-15, 0, 0), (0, 25, 0), (0, 0, 25)),
+    "spine3": ((30, 0, 0), (-15, 0, 0), (0, 25, 0), (0, 0, 20)),
+}
+"""About where joints end, deg about x, y and z of the left side, each alone."""
+
+
+@pytest.mark.parametrize("joint", LIMITS)
+def test_no_edge_is_stretched_at_the_limits_of_a_joint(joint: str) -> None:
+    body = Skeleton.default()
+    look = mesh_skin(body)
+    pairs = edges(look.faces)
+    at_rest = lengths(look.vertices, pairs)
+    for turn in LIMITS[joint]:
+        R = held(**{joint: deg(*turn)})
+        moved = lengths(look.posed(*body.forward(R, np.zeros(3))), pairs)
+        ratio = moved / np.maximum(at_rest, 5e-3)
+        assert ratio.max() < 3.0 and np.quantile(ratio, 0.999) < 2.0, (turn, ratio.max())
+        assert (moved - at_rest).max() < 0.035, turn
+
+
 def test_joints_lie_inside_the_mesh() -> None:
     """The skin around each bone surrounds it: seen along the bone there is skin in every quarter."""
     body = Skeleton.default()

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.util
+import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -86,3 +90,39 @@ def test_markers_keep_their_distance_on_a_bone(motion: Motion) -> None:
         apart = np.linalg.norm(p[:, names.index(a)] - p[:, names.index(b)], axis=-1)
         assert np.ptp(apart) < 1e-9
         assert 0.05 < apart[0] < 0.45
+
+
+READ = """
+import json, sys
+import opensim
+sto, trc = opensim.TimeSeriesTableQuaternion(sys.argv[1]), opensim.TimeSeriesTableVec3(sys.argv[2])
+row = sto.getRowAtIndex(40)
+quats = {n: [row.getElt(0, k).get(i) for i in range(4)] for k, n in enumerate(sto.getColumnLabels())}
+row = trc.getRowAtIndex(40)
+places = {n: [row.getElt(0, k).get(i) for i in range(3)] for k, n in enumerate(trc.getColumnLabels())}
+times = [list(t.getIndependentColumn())[40] for t in (sto, trc)]
+unit = trc.getTableMetaDataString("Units")
+print(json.dumps([times, quats, places, unit, sto.getNumRows(), trc.getNumRows()]))
+"""
+needs_opensim = pytest.mark.skipif(
+    importlib.util.find_spec("opensim") is None, reason="OpenSim's wheel is not installed"
+)
+
+
+@needs_opensim
+def test_opensim_reads_both_tables(motion: Motion, tmp_path: Path) -> None:
+    """In a process of its own, which OpenSim's libraries share with none of ours."""
+    sto, trc = tmp_path / "m.sto", tmp_path / "m.trc"
+    opensim.write_orientations(sto, motion)
+    opensim.write_markers(trc, motion)
+    line = [sys.executable, "-c", READ, str(sto), str(trc)]
+    done = subprocess.run(line, capture_output=True, text=True, check=True)
+    times, quats, places, unit, *rows = json.loads(done.stdout.splitlines()[-1])
+    np.testing.assert_allclose(times, 40 / 50, atol=1e-9)
+    assert (unit, rows) == ("mm", [len(motion)] * 2)
+    bodies, R = opensim.segments(motion)
+    assert list(quats) == [f"{b}_imu" for b in bodies]
+    np.testing.assert_allclose(ori.from_quat(np.array(list(quats.values()))), R[40], atol=1e-6)
+    names, p = opensim.markers(motion)
+    assert list(places) == list(names)
+    np.testing.assert_allclose(np.array(list(places.values())) / 1000, p[40], atol=1e-6)

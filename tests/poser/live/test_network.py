@@ -14,6 +14,7 @@ from mocap import sensors, synthesis
 from mocap.estimator import Sample
 from mocap.synthesis import motions
 from poser.live import alignment, telling
+from poser.live.aligner import Aligner
 from poser.live.alignment import PoseWatch
 from poser.live.assembler import Assembler
 from poser.live.devices import DeviceTracker, Preferences
@@ -76,7 +77,9 @@ def test_the_pose_then_the_motion() -> None:
     where = dict(zip(devices, raw.sensors, strict=True))
     watch = PoseWatch(raw.sensors, RATE, "n", begin_s=0.5)
     box = Assembler(devices, RATE)
-    source = Network(script, box, raw.sensors, where, watch=watch, clock=lambda: script.now)
+    source = Network(
+        script, box, raw.sensors, where, aligner=Aligner(watch=watch), clock=lambda: script.now
+    )
     got = samples_of(script, source, 5.9)
     assert source.calibration is not None and not source.waiting
     assert 1.9 < got[0].time_s < 2.3
@@ -171,7 +174,7 @@ def listening(packets: list[tuple[float, Packet]], tracker: DeviceTracker | None
     devices = sensors.SIX if tracker is None else ("watch", "phone", "earbuds")
     watch = PoseWatch(sensors.SIX, RATE, "n") if tracker is None else None
     return Network(
-        script, Assembler(devices, RATE), sensors.SIX, {n: n for n in devices}, watch=watch,
+        script, Assembler(devices, RATE), sensors.SIX, {n: n for n in devices}, aligner=Aligner(watch=watch),
         tracker=tracker, clock=lambda: script.now,
     )  # fmt: skip
 

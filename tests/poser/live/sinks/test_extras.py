@@ -92,6 +92,25 @@ def test_lsl_has_labels_values_and_even_times() -> None:
     assert sink.close() == {"pushed": 30}
 
 
+def test_lsl_is_heard_by_lsl() -> None:
+    """Through the library itself, where it is installed."""
+    pylsl = pytest.importorskip("pylsl")
+    sink = lsl.LslSink(BODY, 60.0, pylsl)
+    [found, *_] = pylsl.resolve_byprop("name", "poser rotations", timeout=10)
+    inlet = pylsl.StreamInlet(found)
+    inlet.open_stream(timeout=10)
+    for pose in poses(5):
+        sink.write(pose)
+    values, _ = inlet.pull_sample(timeout=10)
+    np.testing.assert_allclose(
+        ori.from_quat(np.array(values).reshape(24, 4)), poses(1)[0].R_parent_joint, atol=1e-6
+    )
+    first = inlet.info().desc().child("channels").first_child()
+    assert (found.channel_count(), first.child_value("label")) == (96, "pelvis.qw")
+    inlet.close_stream()
+    assert sink.close() == {"pushed": 5}
+
+
 def test_rerun_file_is_read_by_rerun(tmp_path: Path) -> None:
     rr = pytest.importorskip("rerun")
     path = tmp_path / "m.rrd"

@@ -17,6 +17,7 @@ from mocap.recording import Recording
 from mocap.synthesis import motions
 from poser.live.assembler import Assembler
 from poser.live.packets import Packet
+from poser.live.recorder import Recorder
 from poser.live.samples import Network
 from poser.live.sources.protocol import Intake
 from tests.poser.live.conftest import Hold
@@ -57,12 +58,13 @@ def heard(
     delay_s: float = 0.05,
     frames: int | None = None,
     settle: Callable[[], None] = lambda: None,
+    recorder: Recorder | None = None,
 ) -> tuple[Network, list[Sample]]:
     """The samples that come of frames sent at their times, and the source. settle: waits until what was
     sent is there."""
     names = where or {n: n for n in recording.sensors}
     box = Assembler(tuple(names), RATE, delay_s)
-    source = Network(intake, box, recording.sensors, names, clock=time)
+    source = Network(intake, box, recording.sensors, names, clock=time, recorder=recorder)
     source.open()
     got: list[Sample] = []
     count = len(recording) if frames is None else frames

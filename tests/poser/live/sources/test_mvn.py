@@ -6,12 +6,14 @@ import socket
 import struct
 from collections.abc import Iterator
 from contextlib import closing
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from mocap import orientation as ori
 from mocap import sensors
+from mocap.formats import read
 from mocap.formats.mvnx import R_OURS_MVN, straightened
 from mocap.motion import Motion
 from mocap.orientation import Array
@@ -20,9 +22,18 @@ from mocap.skeleton import Skeleton
 from poser.live.addresses import Address
 from poser.live.packets import Packet, Rejected
 from poser.live.receiver import Receiver
+from poser.live.recorder import Recorder
 from poser.live.sources import mvn
-from poser.live.sources.mvn import SEGMENTS, Mvn
-from tests.poser.live.sources.conftest import SIX, Time, accelerations, heard, same_poses, wxyz
+from poser.live.sources.mvn import SEGMENTS, Mvn, Suit
+from tests.poser.live.sources.conftest import (
+    RATE,
+    SIX,
+    Time,
+    accelerations,
+    heard,
+    same_poses,
+    wxyz,
+)
 
 STRAIGHT = straightened(Skeleton.default())
 JOINT = {
@@ -50,14 +61,17 @@ def datagram(
 def suit(motion: Motion, k: int, who: int = 0) -> bytes:
     """All 23 segments of a frame, as MVN streams them: 60 Hz, times in whole ms.
 
-    Segment frames are the world's in the T-pose with straight limbs, our bones' in our rest pose.
+    Segment frames are the world's in the T-pose with straight limbs, our bones' in our rest pose. The pelvis'
+    origin is between the hips.
     """
+    hips = motion.p_world_joint[k, 1:3].mean(axis=0)
     items = []
     for n, name in enumerate(SEGMENTS, 1):
         j = JOINT.get(name, 6)
         R_world_segment = motion.R_world_joint[k, j] @ STRAIGHT.get(j, np.eye(3)).T
         R = R_OURS_MVN.T @ R_world_segment @ R_OURS_MVN
-        items.append(item(n, R_OURS_MVN.T @ motion.p_world_joint[k, j], wxyz(R)))
+        p = hips if n == 1 else motion.p_world_joint[k, j]
+        items.append(item(n, R_OURS_MVN.T @ p, wxyz(R)))
     return datagram(1000 + k, round(k * 1000 / 60), items, who)
 
 
@@ -129,7 +143,7 @@ def motion(worn: Recording) -> Motion:
 def listening() -> Iterator[tuple[Receiver, Time, socket.socket]]:
     time = Time()
     with (
-        closing(Receiver(Address("127.0.0.1", 0), Mvn(), time)) as receiver,
+        closing(Suit(Address("127.0.0.1", 0), time)) as receiver,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender,
     ):
         yield receiver, time, sender
@@ -183,6 +197,49 @@ def test_loss_reordering_restart_and_a_second_character(
     t = np.array([s.time_s for s in got])
     assert valid[t < 2.8].mean() > 0.9 and valid[(t > 4.5) & (t < 5.6)].mean() > 0.9
     assert all(d["jumps"] == 1 for d in facts["devices"].values())
+
+
+def test_what_mvn_has_solved_is_kept_as_the_reference(
+    worn: Recording,
+    motion: Motion,
+    listening: tuple[Receiver, Time, socket.socket],
+    tmp_path: Path,
+) -> None:
+    """With a few datagrams lost: bones and the motion on one clock, in one file."""
+    receiver, time, sender = listening
+    path = tmp_path / "s.npz"
+    recorder = Recorder(path, SIX, RATE, bones=True, reference=motion.skeleton)
+
+    def send(k: int) -> None:
+        if k not in (100, 101, 150):
+            sender.sendto(suit(motion, k), ("127.0.0.1", receiver.port))
+
+    source, _ = heard(receiver, time, worn, send, recorder=recorder)
+    source.close()
+    kept = read(path).content
+    assert isinstance(kept, Recording) and kept.reference is not None and kept.sensors == SIX
+    first = mvn.ENOUGH - 2 + round(kept.start_s * RATE)
+    count = len(kept)
+    assert count > 0.9 * len(worn)
+    R, p = kept.reference.R_world_joint, kept.reference.p_world_joint
+    true = motion.slice(first, first + count)
+    off = np.rad2deg(ori.angle_between(R, true.R_world_joint[:count]))
+    assert off.max() < 1.0 and np.median(off) < 0.05  # the largest across what was lost
+    apart = np.linalg.norm(p - true.p_world_joint[:count], axis=-1)
+    assert apart.max() < 0.01 and np.median(apart) < 1e-3
+    ok = kept.ori_valid
+    bones = R[:, kept.joint]
+    assert np.rad2deg(ori.angle_between(kept.R_world_bone[ok], bones[ok])).max() < 0.5
+
+
+def test_a_second_mvn_waits_until_the_first_is_gone(motion: Motion) -> None:
+    decode = Mvn()
+    for k in range(20):
+        assert not any(isinstance(f, Rejected) for f in decode(suit(motion, k), "a", k / RATE))
+    [found] = decode(suit(motion, 3), "b", 20 / RATE)
+    assert isinstance(found, Rejected) and found.reason == "name taken by another device"
+    assert len(list(decode(suit(motion, 20), "a", 20 / RATE))) == len(mvn.PLACES)
+    assert list(decode(suit(motion, 3), "b", 20 / RATE + mvn.GONE_S)) == []
 
 
 def test_places_on_the_same_bone() -> None:
