@@ -25,7 +25,7 @@ from sip.problem import Problem, build, grounded, reference_root
 from sip.sensor_kinematics import SensorKinematics
 from sip.settings import Settings
 from sip.solvers import banded, ipopt
-from sip.windows import Part, Window, assemble, part_of, windows
+from sip.windows import Part, Stretch, assemble, part_of, windows
 
 Progress = Callable[[float, str], None]
 _TEMPERINGS = 3
@@ -111,7 +111,7 @@ def _solve_window(
     kinematics: SensorKinematics,
     given: tuple[Array, Array] | None,
     heard: FrameBeliefs | None,
-    window: Window,
+    window: Stretch,
     before: Part | None,
     tell: Progress,
 ) -> Part:
@@ -208,7 +208,7 @@ def _start(
     kinematics: SensorKinematics,
     given: tuple[Array, Array] | None,
     heard: FrameBeliefs | None,
-    window: Window,
+    window: Stretch,
     u: Array,
     tell: Progress,
 ) -> tuple[Array, Array, Array, int]:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from mocap import orientation as ori
 from mocap.motion import check_rate
 from mocap.orientation import Array
-from poser.live.clock import DeviceClock, Pace, PacketNumbers
+from poser.live.device_clock import DeviceClock, Pace, PacketNumbers
 from poser.live.packets import Packet
 
 SILENT_S = 0.5  # a device unheard for so long is not waited for

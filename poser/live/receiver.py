@@ -22,7 +22,7 @@ RECEIVE_BYTES = 4 << 20  # asked for: some seconds of a suit at 100 Hz
 POLL_S = 0.005
 CATCH_UP = 0.1
 Decoder = Callable[[bytes], Iterator[Packet | Rejected]]
-Clock = Callable[[], float]
+Now = Callable[[], float]
 
 
 def y_up(decode: Decoder) -> Decoder:
@@ -48,7 +48,7 @@ class Receiver:
 
     ended = False  # who listens cannot know
 
-    def __init__(self, address: Address, decode: Decoder, clock: Clock = time.monotonic):
+    def __init__(self, address: Address, decode: Decoder, clock: Now = time.monotonic):
         family, self._to = resolved(address, f"cannot listen on {address}", socket.SOCK_DGRAM)
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)

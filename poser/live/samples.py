@@ -19,9 +19,9 @@ from poser.live import sender_words, senders
 from poser.live.aligner import Aligner
 from poser.live.alignment import to_sample
 from poser.live.assembler import Assembler, Row
-from poser.live.devices import Tracker
+from poser.live.devices import DeviceTracker
 from poser.live.packets import TIME_TOO_LARGE
-from poser.live.receiver import Clock
+from poser.live.receiver import Now
 from poser.live.recorder import Recorder
 from poser.live.sources.protocol import Intake, Witness
 
@@ -83,14 +83,14 @@ class Source(Protocol):
     def close(self) -> None: ...
 
 
-class Replay:
+class RecordingSource:
     """The samples of a recording when they are due. speed: 2 is twice as fast, None as fast as asked."""
 
     def __init__(
         self,
         recording: Recording,
         speed: float | None = 1.0,
-        clock: Clock = time.monotonic,
+        clock: Now = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ):
         self.rate_hz, self._recording = recording.rate_hz, recording
@@ -164,9 +164,9 @@ class Network:
         sensors: tuple[str, ...],
         where: Mapping[str, str],
         aligner: Aligner | None = None,
-        tracker: Tracker | None = None,
+        tracker: DeviceTracker | None = None,
         seconds: float | None = None,
-        clock: Clock = time.monotonic,
+        clock: Now = time.monotonic,
         recorder: Recorder | None = None,
         up: str = "y",
     ):

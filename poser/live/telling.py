@@ -24,7 +24,7 @@ BEHIND_S = 0.2  # a loop that is later than this has fallen behind; a slow frame
 
 
 @runtime_checkable
-class Listener(Protocol):
+class StatusListener(Protocol):
     """A sink that shows the line, as the viewer does."""
 
     def tell(self, text: str) -> None: ...
@@ -42,7 +42,7 @@ class Teller:
     ):
         self._source, self._clock = source, clock
         self._told, self._began = -STATUS_S, clock()
-        self._listeners = [s for s in sinks if isinstance(s, Listener)]
+        self._listeners = [s for s in sinks if isinstance(s, StatusListener)]
         self._terminal = sys.stderr is not None and sys.stderr.isatty()
         self._asked_missing = self._asked_unknown = not isinstance(source, Network)
         self._led: str | None = None
@@ -81,7 +81,7 @@ class Teller:
                 self._complain(f"not reset: {self._trouble}")
         if source.calibration is None or source.calibration is self._checked:
             return
-        from mocap.calibration import words
+        from mocap import words
 
         self._checked = found = source.calibration
         self._complain(f"calibrated; where you face: {found.method}")

@@ -14,14 +14,14 @@ import pytest
 from poser.live.addresses import Address
 from poser.live.heard import Heard
 from poser.live.packets import Packet, Rejected
-from poser.live.sources.conversation import Conversation, Letter, Sender
+from poser.live.sources.conversation import Conversation, Datagram, Sender
 
 
 class Echo:
     """Makes a packet of every datagram, and sends it back."""
 
     def __init__(self) -> None:
-        self.waiting: list[Letter] = []
+        self.waiting: list[Datagram] = []
 
     def hear(self, datagram: bytes, sender: Sender, now_s: float) -> Iterator[Packet | Rejected]:
         self.waiting.append((datagram, sender))
@@ -30,7 +30,7 @@ class Echo:
     def due(self, now_s: float) -> Iterator[Packet]:
         return iter(())
 
-    def letters(self, now_s: float) -> Iterator[Letter]:
+    def letters(self, now_s: float) -> Iterator[Datagram]:
         waiting, self.waiting = self.waiting, []
         yield from waiting
 
