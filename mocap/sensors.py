@@ -22,7 +22,7 @@ class Place:
     position: tuple[float, float, float]
 
 
-# Left side or centre; the right side has x negated (design README, "Sensor places").
+# Left side or centre; the right side has x negated.
 _CENTRE = (
     ("pelvis", 0, (0.0, 0.02, -0.12)),
     ("head", 15, (0.07, 0.08, 0.0)),

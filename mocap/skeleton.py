@@ -25,7 +25,7 @@ MIRROR: tuple[int, ...] = (
 )  # fmt: skip
 """Index of each joint's mirror image."""
 
-# Rest joints of the neutral mean SMPL shape, metres (design README, "The body without a licence gate").
+# Rest joints of the neutral mean SMPL shape, metres.
 REST: Array = np.array(
     [
         [-0.00179506, -0.22333345, 0.02821913],

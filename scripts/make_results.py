@@ -156,8 +156,8 @@ def page() -> str:
         "Every table is made by `python scripts/make_results.py` from the files that the benchmarks left in "
         "`benchmarks/results/`. Figures are on this data only: do not set them beside published ones on "
         "DIP-IMU or TotalCapture.",
-        "**Test split**: CMU subjects 02, 05 and 09, nobody's training motion; virtual sensors with the "
-        "realistic noise of `mocap.synthesis.Noise`; frames with a fault of the capture left out "
+        "**Test split**: CMU subjects 02, 05 and 09, from which no method has learnt; virtual sensors with "
+        "the realistic noise of `mocap.synthesis.Noise`; frames with a fault of the capture left out "
         "(`poser data`). Root, wrists and feet are masked as the field does it. Means over clips; sip_deg "
         "and angular_deg in deg, position_cm in cm, jitter in 100 m/s^3. after 1 s, 5 s: error of the "
         "root's path in cm. in 1 sigma, 2 sigma: per cent of the joints' errors, axis by axis, inside the "

@@ -9,7 +9,7 @@ from mocap.synthesis import Noise
 
 @dataclass(frozen=True)
 class Augmentation:
-    """How training motion is varied, per window (design, networks.md).
+    """How training motion is varied, per window.
 
     mirror: probability of exchanging left and right.
     splice: probability of putting the legs of one clip under the trunk and arms of another.

@@ -1,4 +1,4 @@
-"""What a network says of its own errors, fitted to the errors that it makes (design, hybrid.md)."""
+"""What a network says of its own errors, fitted to the errors that it makes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LEAST_RAD = float(np.deg2rad(1.0))
 
 
 def calibrate(model: Model, windows: Windowed, trained: Windowed | None = None) -> None:
-    """Fit what the model says of its own errors to its errors on this set (hybrid.md).
+    """Fit what the model says of its own errors to its errors on this set.
 
     Errors are Log(R_estimated^T R_true); every clip counts the same. What is fitted is the network's own
     (`learned.dip.deviations`, `learned.imuposer.deviations`). Left and right are taken for mirror images of

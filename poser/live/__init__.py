@@ -2,9 +2,17 @@
 
     source -> packets -> assembler -> calibration -> Sample -> Estimator.step -> Pose -> sinks
 
-`packets` says what a message holds and refuses what does not fit. `clock` and `assembler` turn what
-arrives late, twice, in another order or not at all into rows on a regular clock; they know no socket
-and no time of day, so that tests drive them. `sources` and `sinks` are the two ends, `loop` drives an
-estimator between them and measures how late its poses are. `devices` tells which consumer devices are
-worn, and where.
+Along that way:
+
+- `sources`: a file each kind of device; `receiver`, `addresses`, `osc_messages`: what they share
+- `packets`: what a message holds, and why it is refused
+- `assembler`, `device_clock`: packets late, twice or out of order to rows on a regular clock; they know no
+  socket and no time of day, so that tests drive them
+- `aligner`, `alignment`, `device_headings`: from sensors to bones, at the start and after a reset (`asking`)
+- `devices`: which consumer devices are worn, and where
+- `samples`: the sources that an estimator reads; `opening` makes one from the words of the command line
+- `loop`: samples through an estimator into `sinks`, and how late poses are (`latency`)
+
+Beside it: what is said (`telling`, `listing`, `senders`, `sender_words`, `heard`), what is kept (`recorder`,
+`spool`), help to put sensors on (`placement`, `identifying`), and simulated wearers (`device_study`).
 """
