@@ -36,6 +36,11 @@ SHORTENED = "the window got shorter"
 EVENTS = (FAILED, NO_TIME, TOO_SLOW, SHORTENED)
 SLACK = 0.7  # share of the time under which a window may grow
 FAST, SLOW = 0.2, 0.02  # how quickly the mean of the frames' times follows them up, and down
+LATE_S = 0.05  # a window of a frame that is later than this gets shorter, whatever took the time
+MOST_LATE_S = 0.15  # the shortest one is given up
+BLANKS = (
+    3  # frames that may be missing where time is short: each takes as long as one that is there
+)
 PAUSE_S = 1.0  # without a window, where the shortest one takes too long
 
 
@@ -55,7 +60,8 @@ class WindowState:
 
     solved: the window; empty at a start. times: s of its frames, oldest first. shift (3,) m: from its places
     to the path, None until a pose of it was given. size: frames that the machine has time for. frame_s: mean
-    time of a frame of late. pause: frames to go without a window. steps, frames: taken so far.
+    time of a frame of late. late_s: how late the newest one was. pause: frames to go without a window. steps,
+    frames: taken so far.
     std_rad (24,3) of the poses, computed std_age frames ago. shown: the poses given
     last, in the window's places, the last of them at shown_s.
     """
@@ -65,6 +71,7 @@ class WindowState:
     shift: Array | None = None
     size: int = 0
     frame_s: float = 0.0
+    late_s: float = 0.0
     pause: int = 0
     steps: int = 0
     frames: int = 0
@@ -104,6 +111,10 @@ class Window:
     def start(self) -> WindowState:
         """Nothing seen yet."""
         return WindowState(self._longest.init(), size=self.most)
+
+    def fills(self, gap_s: float) -> bool:
+        """Whether it goes on over a gap in time with blank frames."""
+        return self.settings.budget_s is None or round(gap_s * self.rate_hz) - 1 <= BLANKS
 
     def restarted(self, state: WindowState) -> WindowState:
         """Nothing seen yet, on a machine that is known."""
@@ -197,12 +208,12 @@ class Window:
         follow = FAST if spent > state.frame_s else SLOW
         frame_s = state.frame_s + follow * (spent - state.frame_s)
         counts[TOO_SLOW] += spent > budget
-        size, pause = state.size, 0
-        if frame_s > budget and len(state.solved) >= size:
+        size, pause, late = state.size, 0, state.late_s > LATE_S
+        if (frame_s > budget or late) and len(state.solved) >= size:
             if size > self.least:
                 size, frame_s = size - 1, frame_s * (size - 1) / size
                 counts[SHORTENED] += 1
-            else:
+            elif frame_s > budget or state.late_s > MOST_LATE_S:
                 pause, frame_s = max(1, round(PAUSE_S * self.rate_hz)), 0.0
         elif frame_s < SLACK * budget and len(state.solved) >= size:
             size = min(size + 1, self.most)
