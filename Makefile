@@ -7,12 +7,13 @@ STAMP := $(VENV)/.installed
 WORKERS ?= auto
 # One clone may move: paths are relative, and the stamp follows what it was made from.
 
-.PHONY: help venv demo test lint types check check-fast docs results bench bench-split bench-methods bench-real bench-retargeting bench-accuracy bench-experiments bench-horizon bench-endurance prior weights body poses clean
+.PHONY: help venv demo test lint types check check-fast fuzz docs results bench bench-split bench-methods bench-real bench-retargeting bench-accuracy bench-experiments bench-horizon bench-endurance prior weights body poses clean
 
 help:
 	@echo "make demo         all methods on the built-in recording, with pictures and a report in poser-demo/"
 	@echo "make test         lint, types and the whole test suite"
 	@echo "make check-fast   the tests without the slow ones, in under two minutes"
+	@echo "make fuzz         damaged files at every reader for ten minutes; prints the seed of each failure"
 	@echo "make docs         the pages, offline, in build/site"
 	@echo "make results      tables of docs/results.md and README from benchmarks/results/"
 	@echo "make bench        speed: solver ways, length, number of sensors, memory"
@@ -50,6 +51,10 @@ check-fast: $(STAMP)
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -m "not slow"
 
 test: lint types check
+
+# SECONDS=60, and SEED=N ONLY=CASE to repeat a failure.
+fuzz: $(STAMP)
+	$(BIN)/python -m tests.fuzz --seconds $(or $(SECONDS),600) $(if $(SEED),--seed $(SEED)) $(if $(ONLY),--only $(ONLY))
 
 docs: $(STAMP)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build -q

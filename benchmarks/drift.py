@@ -87,7 +87,7 @@ def one(job: tuple[Motion, float, bool, int]) -> str:
     left = "-"
     if constants:
         found = np.array([tracker.facts(state)["heading_deg"][n] for n in sensors.SIX])
-        apart = np.rad2deg(heading[-1]) + found  # the constant turns the drift back
+        apart = np.rad2deg(heading[-1]) - found
         left = f"{np.abs(apart - apart.mean()).max():.1f}"
     return row((deg_s, "states" if constants else "zero", *cells, left), WIDTHS)
 

@@ -44,7 +44,7 @@ from learned.training.augmentation import Augmentation
 from learned.training.settings import TrainSettings
 from learned.training.trainer import Trainer
 from learned.training.validation import cut_for, figures, predict, recordings
-from learned.training.virtual import Windows
+from learned.training.virtual_windows import Windows
 from mocap import Motion, dataset
 from mocap.errors import PoserError
 from mocap.estimator import Estimator, replay

@@ -178,7 +178,7 @@ def imuposer_runs(name: str, clip: Motion, model: Imuposer) -> Iterator[Run]:
         return
     runtime.one_thread()
     awake = runtime.prepare(model, runtime.fastest())
-    width = model.net.head.in_features
+    width = model.net.head.out_features
     for k, combination in enumerate(COMBINATIONS):
         worn = tuple(sensors.FIVE[place] for place in combination)
         whole = everything.select(worn)

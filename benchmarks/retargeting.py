@@ -31,13 +31,13 @@ ESTIMATED_ON = ("01", "03", "07", "08", "10", "14")
 LONGEST_LAG = 8
 FRAMES = 2400  # of a trial at most
 LEFT_OUT = ("wrist", "hand")  # of the mean over joints; of Daz files also the toes, which they lack
-OTHERS: tuple[dataset.Source, ...] = ("cmu-motionbuilder-bvh", "cmu-daz-bvh")
+OTHERS: tuple[dataset.ClipSource, ...] = ("cmu-motionbuilder-bvh", "cmu-daz-bvh")
 STANDING = ("neck", "head", "left_collar", "right_collar")
 
 Pair = tuple[Clip, Clip]
 
 
-def pairs(other: dataset.Source) -> list[Pair]:
+def pairs(other: dataset.ClipSource) -> list[Pair]:
     """Trials that exist as AMC and in the other archive."""
     cmu = dataset.every(("cmu",))
     original = {c.name: c for c in cmu if c.source == "cmu-amc"}

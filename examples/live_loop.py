@@ -17,7 +17,7 @@ from mocap.estimator import Pose, Sample
 from mocap.skeleton import Skeleton
 from mocap.synthesis import motions
 from poser.live import loop
-from poser.live.samples import Replay
+from poser.live.samples import RecordingSource
 
 BODY = Skeleton.default()
 
@@ -70,7 +70,7 @@ def main() -> int:
     # Virtual sensors; speed=None replays as fast as it goes, 1.0 at the recording's own pace.
     motion = motions.builtin(seconds=args.seconds)
     recording = synthesis.recording(motion, sensors.SIX, synthesis.Noise(), rng=0)
-    source = Replay(recording, speed=4.0)
+    source = RecordingSource(recording, speed=4.0)
 
     report, sinks = loop.Report(), [Printer()]
     source.open()

@@ -24,8 +24,7 @@ from mocap.skeleton import Skeleton
 from mocap.synthesis import motions
 from sip.kinematics import BODY
 from sip.sensor_kinematics import SensorKinematics
-from sip.solvers.band import Band
-from sip.terms.base import Point
+from sip.terms.base import Point, Stencil, Term
 
 KNEES = ("left_knee", "right_knee")
 WORN = ("left_thigh", "right_thigh", "left_forearm", "right_forearm", "head", "pelvis")
@@ -33,11 +32,11 @@ SHANKS = ("left_shank", "right_shank")
 SIGMA = np.deg2rad(3.0)
 
 
-class Goniometer:
+class Goniometer(Term):
     """Residual (T,K): (x - angle) / sigma of the columns `columns` of the unknowns; angle (T,K) rad."""
 
-    # Unknowns of one frame alone; the Hessian is the same everywhere.
-    name, reach, constant = "goniometer", 0, True
+    name = "goniometer"
+    reach = 0  # each residual is of the unknowns of one frame alone
 
     def __init__(self, columns: list[int], angle: Array, sigma: float) -> None:
         self.columns, self.angle, self.sigma = columns, angle, sigma
@@ -45,14 +44,10 @@ class Goniometer:
     def residual(self, point: Point) -> Array:
         return (point.x[:, self.columns] - self.angle) / self.sigma
 
-    def loss(self, residual: Array) -> float:
-        return 0.5 * float((residual**2).sum())
-
-    def pullback(self, point: Point, v: Array, grad: Array, grad_u: Array) -> None:
-        grad[:, self.columns] += v / self.sigma
-
-    def hessian(self, point: Point, band: Band) -> None:
-        band.blocks[:, 0, self.columns, self.columns] += 1 / self.sigma**2
+    def stencil(self, point: Point) -> Stencil:
+        """Residual k is of column k alone, and its derivative there is 1 / sigma in every frame."""
+        slope = np.ones((1, len(self.columns)))
+        return Stencil({0: slope}, self.columns, 1 / self.sigma, diagonal=True)
 
 
 @dataclass(frozen=True)

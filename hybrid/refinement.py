@@ -30,12 +30,12 @@ import pinocchio as pin
 from scipy.linalg.lapack import dpotrf, dtrtri
 
 from hybrid import limits, rotations, tasks
-from hybrid.box import box, in_rotation_vectors
-from hybrid.kinematics import Kinematics
+from hybrid.joint_box import box, in_rotation_vectors
 from hybrid.limb_qp import LimbQP, QPSolution
 from hybrid.network_errors import NetworkErrors
+from hybrid.point_kinematics import Kinematics
 from hybrid.settings import TrackerSettings
-from hybrid.tasks.task import Frame, Task, Term, normal_equations
+from hybrid.tasks.task import Frame, Residual, Task, normal_equations
 from hybrid.worn import Worn, free_joints
 from mocap.errors import ShapeError
 from mocap.estimator import NO_MEASUREMENT, Pose, Sample
@@ -240,7 +240,7 @@ class Refinement:
 
     def _evidence(
         self, frame: Frame, states: tuple[Any, ...], events: dict[str, int]
-    ) -> tuple[list[Term], tuple[Any, ...]]:
+    ) -> tuple[list[Residual], tuple[Any, ...]]:
         """All terms at this frame and the tasks' states after it; adds to `events`."""
         terms, after = [], []
         for task, state in zip(self.tasks, states, strict=True):

@@ -12,6 +12,7 @@ from mocap.errors import PoserError
 from mocap.estimator import Estimator, tracker_hints
 from sip import Settings
 
+# Above zero; the other sizes may be zero.
 POSITIVE = (
     "orientation_sigma_deg",
     "network_floor_deg",
@@ -22,6 +23,10 @@ POSITIVE = (
     "restart_after_s",
     "rate_limit_deg_s",
     "gap_s",
+    "horizon_memory_s",
+    "shown_memory_s",
+    "deviations_s",
+    "steps",
 )
 
 
@@ -109,7 +114,7 @@ class TrackerSettings:
     def __post_init__(self) -> None:
         checked.settings(
             self,
-            positive=("horizon_memory_s", "shown_memory_s", "deviations_s", "steps"),
+            positive=POSITIVE,
             infinite=("horizon_memory_s", "deviations_s"),
             free=("network_sigma_deg", "network_scale"),
             error=PoserError,
@@ -118,19 +123,13 @@ class TrackerSettings:
             value = getattr(self, name)
             for one in value if isinstance(value, tuple) else (value,):
                 checked.number(one, f"TrackerSettings: {name}", above=0, error=PoserError)
+            if isinstance(value, tuple) and len(value) != 24:
+                raise PoserError(f"TrackerSettings: {name} needs 24 values, got {len(value)}")
         if self.budget_s is not None:
             checked.number(self.budget_s, "TrackerSettings: budget_s", above=0, error=PoserError)
         if self.lag is not None and (self.lag < 0 or not self.horizon_s):
             raise PoserError(
                 "TrackerSettings: lag must be zero or more, and needs a window (horizon_s)"
             )
-        for name in POSITIVE:
-            value = getattr(self, name)
-            if not 0 < value < float("inf"):
-                raise PoserError(f"TrackerSettings: {name} must be positive, got {value!r}")
         if not self.network_floor_deg <= self.network_ceiling_deg <= 180:
             raise PoserError("TrackerSettings: network_ceiling_deg must lie between floor and 180")
-        for name in ("network_sigma_deg", "network_scale"):
-            value = getattr(self, name)
-            if isinstance(value, tuple) and len(value) != 24:
-                raise PoserError(f"TrackerSettings: {name} needs 24 values, got {len(value)}")

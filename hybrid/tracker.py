@@ -21,8 +21,9 @@ from hybrid.refinement import Memory, Refinement
 from hybrid.settings import TrackerSettings
 from hybrid.tasks import Task
 from hybrid.window import NO_TIME, NO_WINDOW, Window, WindowFailed, WindowState
+from mocap import checked
 from mocap import sensors as places
-from mocap.errors import SensorError
+from mocap.errors import PoserError, SensorError
 from mocap.estimator import NO_MEASUREMENT, Estimator, Pose, Sample
 from mocap.motion import check_rate
 from mocap.orientation import Array
@@ -86,14 +87,18 @@ class Tracker:
         joint: np.ndarray | None = None,
         seat: Array | None = None,
     ) -> None:
+        if not hasattr(network, "step"):
+            raise PoserError(f"Tracker: network must be an estimator, got {type(network).__name__}")
         self.network = network
-        self.settings = settings or TrackerSettings.around(network)
+        self.settings = TrackerSettings.around(network) if settings is None else settings
+        checked.instance(self.settings, TrackerSettings, "Tracker: settings")
         self.rate_hz = check_rate(network.rate_hz, "Tracker")
         self.sensors = tuple(network.sensors)
         self._late = int(network.look_ahead_frames)
         lag = self.settings.lag
         self.look_ahead_frames = self._late if lag is None else lag
-        self.skeleton = skeleton or Skeleton.default()
+        self.skeleton = Skeleton.default() if skeleton is None else skeleton
+        checked.instance(self.skeleton, Skeleton, "Tracker: skeleton")
         if joint is None or seat is None:
             table_joint, table_seat = places.joints_and_seats(self.sensors)
             joint = table_joint if joint is None else joint

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mocap.exports import lazy
+from mocap.lazy_names import lazy
 
 if TYPE_CHECKING:
     from learned.checkpoint import load, save, shipped

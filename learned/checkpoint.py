@@ -43,6 +43,8 @@ def save(model: Model, path: Path, about: dict[str, Any], half: bool = False) ->
 
     half: matrices in half precision; vectors, scalers and deviations stay single, they cost nothing.
     """
+    if any(x.is_meta for x in model.state_dict().values()):
+        raise CheckpointError(f"{path}: not written: the weights hold no numbers (device meta)")
     tensors = {
         name: (x.half() if half and x.ndim > 1 and name.startswith("net.") else x)
         .detach().cpu().contiguous()

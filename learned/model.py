@@ -15,7 +15,7 @@ from learned.config import Config
 from learned.spec import named
 
 if TYPE_CHECKING:
-    from learned.training.virtual import Batch
+    from learned.training.virtual_windows import Batch
 
 
 class Model(nn.Module):

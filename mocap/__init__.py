@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mocap.errors import PoserError
-from mocap.exports import lazy
+from mocap.lazy_names import lazy
 
 if TYPE_CHECKING:
     from mocap.motion import Motion

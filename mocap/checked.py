@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import numbers
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from dataclasses import fields
 from typing import Any
 
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from mocap.errors import PoserError, ShapeError
 
 Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 
 
 def number(
@@ -40,13 +41,44 @@ def number(
 def array(value: Any, what: str) -> Array:
     """A copy as floats, NaN where something is missing. Raises ShapeError for None, text, complex numbers and
     lists of unequal lengths."""
-    try:
-        given = np.asarray(value)
-    except (ValueError, TypeError) as e:
-        raise ShapeError(f"{what} must be an array of numbers ({e})") from e
+    given = _given(value, f"{what} must be an array of numbers")
     if given.dtype.kind not in "fiu":
         raise ShapeError(f"{what} must be an array of real numbers, got {_words(value, given)}")
     return np.array(given, float)
+
+
+def truths(
+    value: Any, shape: tuple[int, ...], what: str, error: type[PoserError] = ShapeError
+) -> Bools:
+    """A copy of this shape as truth values; whole numbers count as such. Raises `error`."""
+    wanted = f"{what} must be {shape} bool"
+    given = _given(value, wanted, error)
+    if given.shape != shape or given.dtype.kind not in "bui":
+        raise error(f"{wanted}, got {given.shape} {given.dtype}")
+    return np.array(given, bool)
+
+
+def whole(value: Any, what: str, error: type[PoserError] = ShapeError) -> NDArray[np.int64]:
+    """A copy as whole numbers. Raises `error`."""
+    given = _given(value, f"{what} must be whole numbers", error)
+    if given.dtype.kind not in "ui":
+        raise error(f"{what} must be whole numbers, got {_words(value, given)}")
+    return np.array(given, np.int64)
+
+
+def names(value: Any, what: str, error: type[PoserError] = ShapeError) -> tuple[str, ...]:
+    """Texts in order. Raises `error`, also for a single text, which would pass for its letters."""
+    if isinstance(value, str) or not isinstance(value, Iterable):
+        raise error(f"{what} must be several names, as in ('head', 'pelvis'), got {value!r}")
+    return tuple(str(n) for n in value)
+
+
+def _given(value: Any, wanted: str, error: type[PoserError] = ShapeError) -> NDArray[Any]:
+    # RuntimeError: a tensor that needs gradients. Those of torch's device meta hold no numbers: TypeError.
+    try:
+        return np.asarray(value)
+    except (ValueError, TypeError, RuntimeError) as e:
+        raise error(f"{wanted} ({e})") from e
 
 
 def instance(value: Any, kind: type, what: str, error: type[PoserError] = ShapeError) -> None:

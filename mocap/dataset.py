@@ -24,22 +24,22 @@ from mocap.formats import Options, asfamc, bvh
 from mocap.motion import Motion
 
 Split = Literal["train", "validation", "test"]
-Source = Literal["cmu-amc", "cmu-daz-bvh", "cmu-motionbuilder-bvh", "bandai2-bvh"]
+ClipSource = Literal["cmu-amc", "cmu-daz-bvh", "cmu-motionbuilder-bvh", "bandai2-bvh"]
 SPLITS: tuple[Split, ...] = ("train", "validation", "test")
 TEST_SUBJECTS, VALIDATION_SUBJECTS = ("02", "05", "09"), ("06", "12", "17", "35")
 READERS_ONLY = ("131",)
 # Of each collection its archives, the better first: where two hold a trial the first one's counts.
-ARCHIVES: dict[str, tuple[Source, ...]] = {
+ARCHIVES: dict[str, tuple[ClipSource, ...]] = {
     "cmu": ("cmu-amc", "cmu-daz-bvh", "cmu-motionbuilder-bvh"),
     "bandai": ("bandai2-bvh",),
 }
-NAMES: dict[Source, str] = {
+NAMES: dict[ClipSource, str] = {
     "cmu-amc": "CMU's mocap in the original ASF/AMC",
     "cmu-daz-bvh": "the Daz-friendly BVH conversion of CMU's mocap (cgspeed.com)",
     "cmu-motionbuilder-bvh": "the MotionBuilder BVH conversion of CMU's mocap",
     "bandai2-bvh": "Bandai-Namco-Research-Motiondataset-2",
 }
-_SUFFIX: dict[Source, str] = {
+_SUFFIX: dict[ClipSource, str] = {
     "cmu-amc": "amc", "cmu-daz-bvh": "bvh", "cmu-motionbuilder-bvh": "bvh", "bandai2-bvh": "bvh",
 }  # fmt: skip
 SALSA_HZ = 60.0  # the salsa clips' rate of capture; their headers say 120
@@ -57,7 +57,7 @@ class Clip:
 
     name: str
     path: Path
-    source: Source
+    source: ClipSource
     split: Split
     rate_hz: float | None = None
     left_out: str = ""
@@ -107,7 +107,7 @@ def subject_of(name: str) -> str:
     return found.group(1) if found else name.split("_")[0]
 
 
-def absent(collections: Sequence[str] = ("cmu", "bandai")) -> list[Source]:
+def absent(collections: Sequence[str] = ("cmu", "bandai")) -> list[ClipSource]:
     """Archives of these collections that are nowhere unpacked."""
     return [a for c in collections for a in ARCHIVES[c] if not _files(a)]
 
@@ -187,7 +187,7 @@ def _bandai() -> list[Clip]:
     return [Clip(p.stem, p, "bandai2-bvh", split_of(p.stem, i)) for i, p in enumerate(paths)]
 
 
-def _files(source: Source) -> list[Path]:
+def _files(source: ClipSource) -> list[Path]:
     """Motion files of an archive, by name, from the first place that has any."""
     for folder in (cache_folder() / source, shared_folder() / source):
         found = sorted(folder.rglob(f"*.{_SUFFIX[source]}"), key=lambda p: p.name)

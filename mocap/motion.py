@@ -63,11 +63,7 @@ class Motion:
             R = ori.project(R)
         checked.number(self.start_s, "Motion: start_s")
         if self.trusted is not None:
-            trusted = np.array(self.trusted)
-            if trusted.shape != (len(R),) or trusted.dtype != bool:
-                raise ShapeError(
-                    f"Motion: trusted must be ({len(R)},) bool, got {trusted.shape} {trusted.dtype}"
-                )
+            trusted = checked.truths(self.trusted, (len(R),), "Motion: trusted")
             trusted.setflags(write=False)
             object.__setattr__(self, "trusted", trusted)
         object.__setattr__(self, "rate_hz", check_rate(self.rate_hz, "Motion"))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap import checked
+from mocap import checked, gate
 from mocap import orientation as ori
 from mocap import sensors as places
 from mocap.errors import SensorError, ShapeError
@@ -19,7 +19,7 @@ Bool = NDArray[np.bool_]
 
 
 def _names(names: tuple[str, ...], what: str) -> tuple[str, ...]:
-    names = tuple(str(n) for n in names)
+    names = checked.names(names, f"{what}: sensors", SensorError)
     if not names:
         raise SensorError(f"{what}: no sensor")
     if len(set(names)) != len(names):
@@ -32,6 +32,24 @@ def _array(x: Any, shape: tuple[int, ...], what: str) -> Array:
     if x.shape != shape:
         raise ShapeError(f"{what} must be {shape}, got {x.shape}")
     return x
+
+
+def _no_rotations(R: Array, valid: Bool, names: tuple[str, ...], what: str) -> Bool:
+    """(T,S): said to be valid, finite, no rotation. Raises ShapeError where these are most of a sensor's."""
+    has = valid & np.isfinite(R).all((-1, -2))
+    bad: Bool = has & ~gate.is_rotation(R)
+    most = 2 * bad.sum(axis=0) > has.sum(axis=0)
+    if most.any():
+        s = int(most.argmax())
+        t = int(bad[:, s].argmax())
+        with np.errstate(all="ignore"):
+            det = float(np.linalg.det(R[t, s]))
+        raise ShapeError(
+            f"{what.partition(':')[0]}: frame {t}, sensor {names[s]}:{what.partition(':')[2]} is "
+            f"{'left-handed' if det < 0 else 'not orthonormal'} (determinant {det:.3g}, expected 1), as are "
+            f"{int(bad[:, s].sum())} of {int(has[:, s].sum())} of this sensor"
+        )
+    return bad
 
 
 def gaps(valid: Bool) -> list[dict[str, Any]]:
@@ -55,6 +73,11 @@ class RawRecording:
     of R_world_sensor: forward = (sin, 0, cos), where
     the file knows it (a reader of segment frames does; see `mocap.calibration`). common_heading: whether
     all sensors of R_world_sensor share one heading (False: 6-axis orientation, each its own).
+
+    no_rotation (S,): how many samples of each sensor were said to be valid, though their orientation was no
+    rotation to 1e-3: they are not valid here. Raises ShapeError where a sensor has more of these than others:
+    then the layout is another one (transposed, left-handed), and no samples are spoiled. Not of what `slice`
+    and `select` give.
     """
 
     rate_hz: float
@@ -69,6 +92,7 @@ class RawRecording:
     start_s: float = 0.0
     facing_rad: float | None = None
     common_heading: bool = True
+    no_rotation: NDArray[np.int64] | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         names = _names(self.sensors, "RawRecording")
@@ -87,23 +111,21 @@ class RawRecording:
         finite = np.isfinite(self.acc).all(-1) & np.isfinite(self.gyr).all(-1)
         if self.mag is not None:
             put(self, "mag", _array(self.mag, (T, S, 3), "RawRecording: mag"))
+        valid = np.ones((T, S), bool)
+        if self.valid is not None:
+            valid = checked.truths(self.valid, (T, S), "RawRecording: valid")
         if self.R_world_sensor is not None:
             R = _array(self.R_world_sensor, (T, S, 3, 3), "RawRecording: R_world_sensor")
-            has = np.isfinite(R).all((-1, -2))
-            bad = has & ~ori.is_rotation(R)
-            if bad.any():
-                t, s = np.argwhere(bad)[0]
-                raise ShapeError(
-                    f"RawRecording: frame {t}, sensor {names[s]}: R_world_sensor is not a rotation "
-                    f"(orthonormal, right-handed)"
-                )
+            # Where nobody says that it is valid, it may not be read either: fusion and checks look at all.
+            bad = _no_rotations(R, valid, names, "RawRecording: R_world_sensor")
+            R[~gate.is_rotation(R)] = np.nan
             put(self, "R_world_sensor", R)
+            put(self, "no_rotation", bad.sum(axis=0))
+            valid &= ~bad
+            has = np.isfinite(R).all((-1, -2))
             # A sensor that delivers orientation alone (some exports do) counts by its orientation.
             blind = ~np.isfinite(self.acc).any((0, 2))
             finite = np.where(blind, has, finite)
-        valid = np.ones((T, S), bool) if self.valid is None else np.array(self.valid, bool)
-        if valid.shape != (T, S):
-            raise ShapeError(f"RawRecording: valid must be {(T, S)}, got {valid.shape}")
         put(self, "valid", valid & finite)
         if self.reference is not None and len(self.reference) != T:
             raise ShapeError(f"RawRecording: reference has {len(self.reference)} frames, not {T}")
@@ -157,7 +179,8 @@ class Recording:
     acc_world is NaN, and what R_world_bone holds must be ignored. joint (S,) and placement (S,3) m:
     the joint whose rotation each sensor follows and its seat in that bone's rest frame (defaults: the
     table of places). reference: a known motion, frame for frame. calibration, noise: JSON-like records
-    of how the recording was made. start_s: time of frame 0 on the source's clock.
+    of how the recording was made. start_s: time of frame 0 on the source's clock. no_rotation (S,): as
+    `RawRecording` has it.
     """
 
     rate_hz: float
@@ -172,6 +195,7 @@ class Recording:
     noise: dict[str, Any] | None = None
     start_s: float = 0.0
     notes: tuple[str, ...] = field(default=())
+    no_rotation: NDArray[np.int64] = field(init=False)
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -187,19 +211,13 @@ class Recording:
             raise ShapeError(f"Recording: R_world_bone must be (T,{S},3,3), T > 0, got {R.shape}")
         T = len(R)
         acc = _array(self.acc_world, (T, S, 3), "Recording: acc_world")
-        valid = np.ones((T, S), bool) if self.valid is None else np.array(self.valid, bool)
-        if valid.shape != (T, S):
-            raise ShapeError(f"Recording: valid must be {(T, S)}, got {valid.shape}")
+        valid = np.ones((T, S), bool)
+        if self.valid is not None:
+            valid = checked.truths(self.valid, (T, S), "Recording: valid")
+        bad = _no_rotations(R, valid, names, "Recording: R_world_bone")
+        put(self, "no_rotation", bad.sum(axis=0))
+        R[bad], valid = np.nan, valid & ~bad
         has_R = np.isfinite(R).all((-1, -2))
-        bad = valid & has_R & ~ori.is_rotation(R)
-        if bad.any():
-            t, s = np.argwhere(bad)[0]
-            det = np.linalg.det(R[t, s])
-            hand = "left-handed" if det < 0 else "not orthonormal"
-            raise ShapeError(
-                f"Recording: frame {t}, sensor {names[s]}: R_world_bone is {hand} "
-                f"(determinant {det:.3f}, expected 1)"
-            )
         # Files hold float32: project once, so that rounding does not count as a residual.
         use = valid & has_R
         R[use] = ori.project(R[use])
@@ -213,7 +231,7 @@ class Recording:
             joint_t, seat_t = places.joints_and_seats(names)
             joint = joint_t if joint is None else joint
             seat = seat_t if seat is None else seat
-        joint = np.array(joint, np.int64)
+        joint = checked.whole(joint, "Recording: joint", SensorError)
         if joint.shape != (S,) or (joint < 0).any() or (joint > 23).any():
             raise SensorError(f"Recording: joint must hold {S} indices in 0..23, got {joint}")
         put(self, "joint", joint)

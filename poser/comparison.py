@@ -30,7 +30,7 @@ from poser.estimators import (
     used,
 )
 from poser.estimators import METHODS as ONLINE
-from poser.report.results import NO_SKILL, Compared, Lost, Result
+from poser.report.results import NO_SKILL, Compared, Lost, MethodResult
 
 if TYPE_CHECKING:
     from sip import Settings
@@ -138,7 +138,7 @@ def attempt(
         reference, words = _reference(job, part(tell, 0.0, start))
     except PoserError as e:
         return Lost(job.name, {"reference": str(e)})
-    methods: dict[str, Result] = {}
+    methods: dict[str, MethodResult] = {}
     for i, name in enumerate(able):
         a, b = (start + (1 - start) * (i + k) / len(able) for k in (0, 1))
         try:
@@ -241,7 +241,7 @@ def _reference(job: Job, tell: Progress) -> tuple[Motion, str]:
 # -- methods --------------------------------------------------------------------------------------
 
 
-def _method(job: Job, name: str, reference: Motion, tell: Progress) -> Result:
+def _method(job: Job, name: str, reference: Motion, tell: Progress) -> MethodResult:
     seen = read_by(job, name)
     if name in SOLVED:
         from poser.commands.solve import record
@@ -268,15 +268,17 @@ def _solve(job: Job, recording: Recording, terms: Any, tell: Progress) -> Any:
 
 def _result(
     job: Job, motion: Motion, reference: Motion, seen: tuple[str, ...], figures: dict[str, Any]
-) -> Result:
+) -> MethodResult:
     from mocap.evaluation import metrics
     from mocap.synthesis.staging import on_the_floor
 
     found = metrics.evaluate(motion, reference, recording=job.recording, seen=seen)
-    return Result(on_the_floor(motion), found, figures | {"used_sensors": list(seen)})
+    return MethodResult(on_the_floor(motion), found, figures | {"used_sensors": list(seen)})
 
 
-def _no_skill(recording: Recording, seen: tuple[str, ...], reference: Motion) -> dict[str, Result]:
+def _no_skill(
+    recording: Recording, seen: tuple[str, ...], reference: Motion
+) -> dict[str, MethodResult]:
     """The two rows that need no skill, from the prior's mean and its bank of poses."""
     from mocap.evaluation import metrics, noskill
     from mocap.synthesis.staging import on_the_floor
@@ -286,7 +288,7 @@ def _no_skill(recording: Recording, seen: tuple[str, ...], reference: Motion) ->
     out = {}
     for name, motion in noskill.both(chosen, prior.mean, prior.poses).items():
         found = metrics.evaluate(motion, reference, recording=recording, seen=seen)
-        out[name] = Result(on_the_floor(motion), found, {"used_sensors": list(seen)})
+        out[name] = MethodResult(on_the_floor(motion), found, {"used_sensors": list(seen)})
     return out
 
 

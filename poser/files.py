@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mocap.errors import FormatError, PoserError
+from mocap.findings import doubt
+from mocap.words import sentence
 from poser.console import UsageError, note
 from poser.exports import WRITERS, Export
 
@@ -41,8 +43,8 @@ def read(path: Path, options: Options | None = None) -> Document:
     own = _overridden_rate(path, options, doc)
     if own is None:
         return doc
-    told = f"states {own:g} Hz, read as {doc.content.rate_hz:g} Hz as was said"
-    return replace(doc, warnings=(*doc.warnings, told), stated_hz=own)
+    told = doubt("rate-told", stated_hz=own, read_hz=doc.content.rate_hz)
+    return replace(doc, doubts=(*doc.doubts, told), stated_hz=own)
 
 
 def _overridden_rate(path: Path, options: Options | None, doc: Document) -> float | None:
@@ -58,7 +60,7 @@ def _overridden_rate(path: Path, options: Options | None, doc: Document) -> floa
         return None  # none is stated
     same = abs(own.content.rate_hz / said - 1) < 1e-3  # .bvh files round the time of a frame
     # A reader that assumes a rate says so, and that changes with what it is told.
-    return None if same or own.assumptions != doc.assumptions else own.content.rate_hz
+    return None if same or own.assumed != doc.assumed else own.content.rate_hz
 
 
 def motion(path: Path, options: Options | None = None, quiet: bool = False) -> Motion:
@@ -80,8 +82,8 @@ def note_gaps(path: Path, used: Recording, whole: Recording) -> None:
     from mocap.timeline import words
 
     where = f"{path}, {words(used)}" if len(used) < len(whole) else str(path)
-    for text in missing(used):
-        note(f"{where}: {text}")
+    for finding in missing(used):
+        note(f"{where}: {sentence(finding)}")
 
 
 def thinned(
@@ -137,9 +139,9 @@ def _expect(
     doc = read(path, options)
     content = expected(path, doc, kind)
     untold = missing(content) if not gaps and isinstance(content, Recording) else []
-    for text in () if quiet else doc.warnings:
-        if text not in untold:
-            note(f"{path}: {text}")
+    for finding in () if quiet else doc.doubts:
+        if finding not in untold:
+            note(f"{path}: {sentence(finding)}")
     return content
 
 

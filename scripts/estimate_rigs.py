@@ -26,7 +26,7 @@ from mocap import orientation as ori
 from mocap.formats import Options, _neutral, bvh
 from mocap.formats._bvh_text import parse
 from mocap.formats._frames import Neutral, unit
-from mocap.formats._source import INDEX, Roles, Source, assign
+from mocap.formats._source import INDEX, ForeignMotion, Roles, assign
 from mocap.motion import Motion
 from mocap.orientation import Array
 from mocap.skeleton import Skeleton
@@ -58,7 +58,7 @@ def show(rig: str, F: dict[str, Array]) -> None:
         print(f'    "{name}": ({x:.1f}, {y:.1f}, {z:.1f}),')
 
 
-def source_of(path: Path) -> tuple[Source, Roles]:
+def source_of(path: Path) -> tuple[ForeignMotion, Roles]:
     """A BVH file's joints in motion and their roles."""
     file = parse(path, path.read_bytes())
     source = bvh._source(path, file, file.rate_hz, Options())
@@ -132,7 +132,7 @@ def bandai(paths: Iterable[Path]) -> dict[str, Array]:
 
 
 def standing_frames(
-    source: Source, roles: Roles, neutral: Neutral, names: list[str]
+    source: ForeignMotion, roles: Roles, neutral: Neutral, names: list[str]
 ) -> dict[str, Array]:
     """What one clip says of the neutral frames, from its upright frames."""
     G, p = source.forward

@@ -51,7 +51,7 @@ class HorizonSettings:
     steps: int = 1
     growing_steps: int = 3
     walk_mounting: float = 0.1 * DEG
-    walk_heading: float = 0.3 * DEG
+    walk_heading: float = 1.0 * DEG
     walk_bias: float = 0.005
 
     def __post_init__(self) -> None:

@@ -20,15 +20,12 @@ from sip.soles import Soles, standing
 from sip.solvers.band import Band
 from sip.terms.acceleration import Acceleration
 from sip.terms.anthropometric import Limits, PosePrior
-from sip.terms.base import Point, Term
+from sip.terms.base import CONSTANTS, Point, Term
 from sip.terms.calibration import SensorConstants
 from sip.terms.contact import Contact
 from sip.terms.network import NetworkPose
 from sip.terms.orientation import Orientation
 from sip.terms.smoothness import Gauge, LinearSmoothness, RootSmoothness
-
-CONSTANTS = 7  # per sensor: mounting (3), heading (1), bias (3)
-
 
 _MEASURED = ("R", "acc", "ori_valid", "acc_valid")
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from sip.terms.base import Term
 
 DEG = np.pi / 180
+POSITIVE = ("sigma_orientation", "sigma_acceleration", "sigma_gauge", "robust_delta")
 # Where infinity leaves something out, or never forgets it.
 UNBOUNDED = (
     "sigma_acceleration", "sigma_contact", "sigma_gauge", "sigma_limits", "robust_delta", "network_memory_s",
@@ -97,15 +98,7 @@ class Settings:
         return self.prior_weight_calibrating if self.self_calibration else self.prior_weight
 
     def __post_init__(self) -> None:
-        may = (
-            "sigma_contact",
-            "network_memory_s",
-            "sigma_gauge",
-            "robust_delta",
-            "sigma_limits",
-            "sigma_acceleration",
-        )
-        checked.settings(self, infinite=may, error=SolveError)
+        checked.settings(self, positive=POSITIVE, infinite=UNBOUNDED, error=SolveError)
         if not isinstance(self.start, Motion) and self.start != "prior":
             raise SolveError(f'Settings: start must be "prior" or a Motion, got {self.start!r:.60}')
         checked.instance(self.prior, Prior, "Settings: prior", SolveError)
@@ -113,9 +106,6 @@ class Settings:
             allowed = {"terms": ("sop", "sip"), "solver": ("ipopt", "ipopt-cold", "banded")}[name]
             if getattr(self, name) not in allowed:
                 raise SolveError(f"{name} must be one of {', '.join(allowed)}")
-        for name in ("sigma_orientation", "sigma_acceleration", "sigma_gauge", "robust_delta"):
-            if not getattr(self, name) > 0:
-                raise SolveError(f"{name} must be positive, got {getattr(self, name)!r}")
         if self.overlap < 0 or self.window < max(8, 2 * self.overlap):
             raise SolveError(
                 f"window must be at least 8 frames and twice the overlap, got {self.window} and "

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from mocap import checked
 from mocap.errors import SolveError
 from mocap.motion import Motion
 from mocap.orientation import Array
@@ -24,7 +25,7 @@ from sip.problem import Problem, build, grounded, reference_root
 from sip.sensor_kinematics import SensorKinematics
 from sip.settings import Settings
 from sip.solvers import banded, ipopt
-from sip.windows import Part, Window, assemble, part_of, windows
+from sip.windows import Part, Stretch, assemble, part_of, windows
 
 Progress = Callable[[float, str], None]
 _TEMPERINGS = 3
@@ -45,7 +46,11 @@ def solve(
     Raises SolveError where no frame has a usable orientation, or the start or the belief is not of this
     length and rate.
     """
-    skeleton, settings = skeleton or Skeleton.default(), settings or Settings()
+    skeleton = Skeleton.default() if skeleton is None else skeleton
+    settings = Settings() if settings is None else settings
+    checked.instance(recording, Recording, "solve: recording", SolveError)
+    checked.instance(skeleton, Skeleton, "solve: skeleton", SolveError)
+    checked.instance(settings, Settings, "solve: settings", SolveError)
     if not recording.ori_valid.any():
         raise SolveError("the recording has no valid orientation of any sensor in any frame")
     began = time.perf_counter()
@@ -106,7 +111,7 @@ def _solve_window(
     kinematics: SensorKinematics,
     given: tuple[Array, Array] | None,
     heard: FrameBeliefs | None,
-    window: Window,
+    window: Stretch,
     before: Part | None,
     tell: Progress,
 ) -> Part:
@@ -203,7 +208,7 @@ def _start(
     kinematics: SensorKinematics,
     given: tuple[Array, Array] | None,
     heard: FrameBeliefs | None,
-    window: Window,
+    window: Stretch,
     u: Array,
     tell: Progress,
 ) -> tuple[Array, Array, Array, int]:

@@ -28,7 +28,7 @@ FAR_RAD = np.deg2rad(150.0)
 
 
 @dataclass(frozen=True)
-class Window:
+class Stretch:
     """Frames start..stop-1 are solved together; those from `keep` on are replaced by the next window's."""
 
     start: int
@@ -36,21 +36,21 @@ class Window:
     keep: int
 
 
-def windows(frames: int, size: int, overlap: int) -> list[Window]:
+def windows(frames: int, size: int, overlap: int) -> list[Stretch]:
     """Windows of equal size, at most `size` frames, each reaching `overlap` frames into the next."""
     if frames <= size:
-        return [Window(0, frames, frames)]
+        return [Stretch(0, frames, frames)]
     count = int(np.ceil((frames - overlap) / (size - overlap)))
     cuts = np.linspace(0, frames - overlap, count + 1).round().astype(int)
     cuts[-1] = frames
-    return [Window(int(a), int(min(b + overlap, frames)), int(b)) for a, b in pairwise(cuts)]
+    return [Stretch(int(a), int(min(b + overlap, frames)), int(b)) for a, b in pairwise(cuts)]
 
 
 @dataclass
 class Part:
     """A solved window: x and R_ref of its frames (past not included), and what is reported."""
 
-    window: Window
+    window: Stretch
     x: Array
     R_ref: Array
     u: Array
@@ -65,7 +65,7 @@ class Part:
 
 
 def part_of(
-    problem: Problem, settings: Settings, window: Window, result: Result, iterations: int
+    problem: Problem, settings: Settings, window: Stretch, result: Result, iterations: int
 ) -> Part:
     """What is kept of a solved window: costs and residuals of the frames that no later window replaces, and
     the posterior's standard deviations where they are asked for.

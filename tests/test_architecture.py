@@ -148,3 +148,49 @@ def test_no_path_of_a_machine_and_no_registry_host() -> None:
                 continue
             found = bad.search(path.read_text(errors="replace"))
             assert found is None, f"{name}: {found and found.group()}"
+
+
+# Names that stand in several rooms and mean the same in each, or what the folder says they are.
+SAME_THING = {
+    "Contact": "feet that stand: a term of sip, the root of the hybrid",
+    "Orientation": "what a sensor says of a bone: a term of sip, a task of the hybrid",
+    "Model": "of the cost, of a network",
+    "Evidence": "all that is known: of a recording for its checks, of frames for their cost",
+}
+SAME_MODULE = {
+    "__init__": "a package",
+    "settings": "of that package",
+    "errors": "of that package",
+    "estimator": "the protocol, and networks behind it",
+    "tree": "of the joints, in numpy and in torch",
+    "prior": "over poses, and the task that is about it",
+    "orientation": "rotations; what a sensor says of a bone, as a term and as a task",
+    "contact": "feet that stand, as a term and for the root",
+    "model": "of the cost, of a network",
+    "references": "reference motions, and the words about them",
+}
+# A network's folder has the same files; a check, a command and a page are named after what they are about.
+MIRRORS = ("learned/dip/", "learned/imuposer/", "learned/training/deviations", "mocap/calibration/checks/",
+           "poser/commands/", "poser/live/sources/", "poser/viewer/live")  # fmt: skip
+
+
+def repeated(names: dict[str, list[str]], allowed: dict[str, str]) -> dict[str, list[str]]:
+    return {k: v for k, v in names.items() if len(v) > 1 and k not in allowed}
+
+
+def test_a_name_means_one_thing() -> None:
+    """Public classes, and files. A new repeat is renamed, or said to be the same thing."""
+    classes: dict[str, list[str]] = {}
+    stems: dict[str, list[str]] = {}
+    for path in modules():
+        where = str(path.relative_to(ROOT))
+        if not where.startswith(MIRRORS):
+            stems.setdefault(path.stem, []).append(where)
+        for node in ast.parse(path.read_text()).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                classes.setdefault(node.name, []).append(where)
+    assert repeated(classes, SAME_THING) == {}
+    assert repeated(stems, SAME_MODULE) == {}
+    # What is allowed and repeated nowhere is no longer needed here.
+    assert [k for k in SAME_THING if len(classes.get(k, ())) < 2] == []
+    assert [k for k in SAME_MODULE if len(stems.get(k, ())) < 2] == []

@@ -5,7 +5,7 @@ class HeadLevel(Task):
         head = frame.at.on(15)              # any joint, and a point on it
         up = head.R_world_bone[:, 1]        # the head's own up, in world axes
         J = -rotations.hat(up) @ head.J_rotation
-        return Term(up[[0, 2]] / 0.1, J[[0, 2]] / 0.1)
+        return Residual(up[[0, 2]] / 0.1, J[[0, 2]] / 0.1)
 
 Tracker(network, tasks=[*tasks.standard(), HeadLevel()])
 """
@@ -16,16 +16,16 @@ from hybrid.settings import TrackerSettings
 from hybrid.tasks.orientation import Orientation
 from hybrid.tasks.position import Position
 from hybrid.tasks.prior import NetworkPrior
-from hybrid.tasks.task import Evidence, Frame, Task, Term
+from hybrid.tasks.task import Frame, Residual, Task, TaskResult
 
 __all__ = [
-    "Evidence",
     "Frame",
     "NetworkPrior",
     "Orientation",
     "Position",
+    "Residual",
     "Task",
-    "Term",
+    "TaskResult",
     "standard",
 ]
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from hybrid import rotations
-from hybrid.kinematics import Configuration
-from hybrid.tasks.task import Evidence, Frame, Task, Term
+from hybrid.point_kinematics import Configuration
+from hybrid.tasks.task import Frame, Residual, Task, TaskResult
 from mocap.orientation import Array
 
 # Past this angle the logarithm's gradient points the wrong way as soon as noise crosses the half turn.
@@ -26,17 +26,17 @@ class Orientation(Task):
         self.sigma_deg = sigma_deg
         self._sigma = float(np.deg2rad(sigma_deg))
 
-    def evidence(self, frame: Frame, state: Any) -> Evidence:
+    def evidence(self, frame: Frame, state: Any) -> TaskResult:
         """Counts "orientation refused": sensors further off than `MAX_ANGLE`."""
         use = (frame.seen & frame.worn.limbs).nonzero()[0]
         term, angle = residual(frame.at, use, frame.sample.R_world_bone[use], self._sigma)
         refused = int((angle > MAX_ANGLE).sum())
-        return Evidence(term, state, {"orientation refused": refused})
+        return TaskResult(term, state, {"orientation refused": refused})
 
 
 def residual(
     at: Configuration, point: np.ndarray, R_measured: Array, sigma: float
-) -> tuple[Term, Array]:
+) -> tuple[Residual, Array]:
     """Log(R_measured^T R_world_bone) / sigma of the points `point`, sigma in rad.
 
     R(dv) = R Exp(R^T J_rotation dv), so the Jacobian is J_r^-1(Log(R_measured^T R)) R^T J_rotation. Also
@@ -48,4 +48,4 @@ def residual(
     weight = (angle <= MAX_ANGLE) / sigma
     turning = rotations.right_jacobian_inv(w) * weight[:, None, None] @ R.mT
     J = turning @ at.J_rotation[point]
-    return Term((w * weight[:, None]).ravel(), J.reshape(-1, J.shape[-1])), angle
+    return Residual((w * weight[:, None]).ravel(), J.reshape(-1, J.shape[-1])), angle

@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from hybrid import motion_filter, rotations
-from hybrid.kinematics import Configuration
 from hybrid.motion_filter import FilterNoise, SensorMotion
-from hybrid.tasks.task import Evidence, Frame, Task, Term
+from hybrid.point_kinematics import Configuration
+from hybrid.tasks.task import Frame, Residual, Task, TaskResult
 from hybrid.worn import Worn
 from mocap.orientation import Array
 
@@ -48,11 +48,11 @@ class Position(Task):
         S = len(worn.joint)
         return PositionState(motion_filter.stopped(S), np.zeros(S), np.zeros(S, bool))
 
-    def evidence(self, frame: Frame, state: PositionState) -> Evidence:
+    def evidence(self, frame: Frame, state: PositionState) -> TaskResult:
         """Predicts to the frame's time. Counts "position refused": predictions past the gate."""
         worn, sample = frame.worn, frame.sample
         if worn.pelvis is None:
-            return Evidence(None, state)
+            return TaskResult(None, state)
         acc = np.where(sample.valid[:, None], sample.acc_world, np.nan)
         motion = motion_filter.predict(state.motion, acc - acc[worn.pelvis], frame.dt, self.noise)
         use = (motion.running & worn.limbs).nonzero()[0]
@@ -64,7 +64,7 @@ class Position(Task):
         refused = np.zeros(len(worn.joint), bool)
         refused[use] = placed.refused
         counts = {"position refused": int(refused.sum())}
-        return Evidence(placed.term, PositionState(motion, state.refused_s, refused), counts)
+        return TaskResult(placed.term, PositionState(motion, state.refused_s, refused), counts)
 
     def follow(
         self, frame: Frame, state: PositionState, dv: Array
@@ -96,7 +96,7 @@ def relative(at: Configuration, origin: int) -> tuple[Array, Array]:
 class Placed(NamedTuple):
     """The term, how far off each prediction is in sigmas, and which ones the gate refused."""
 
-    term: Term
+    term: Residual
     innovation: Array
     refused: np.ndarray
 
@@ -119,5 +119,5 @@ def residual(
     weight = np.where(refused, 0.0, np.minimum(1.0, robust / np.maximum(sigmas, 1e-9)))
     root = np.sqrt(weight / variance)
     e = np.where(refused[:, None], 0.0, p - predicted) * root[:, None]
-    term = Term(e.ravel(), (J * root[:, None, None]).reshape(-1, J.shape[-1]))
+    term = Residual(e.ravel(), (J * root[:, None, None]).reshape(-1, J.shape[-1]))
     return Placed(term, innovation, refused)

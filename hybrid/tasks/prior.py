@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hybrid import rotations
-from hybrid.tasks.task import Frame, Task, Term
+from hybrid.tasks.task import Frame, Residual, Task
 from mocap.orientation import Array
 
 
@@ -15,12 +15,12 @@ class NetworkPrior(Task):
     Both come with the frame (`hybrid.network_errors`).
     """
 
-    def term(self, frame: Frame) -> Term:
+    def term(self, frame: Frame) -> Residual:
         """Residual (3F,) and Jacobian (3F,3F)."""
         return residual(frame.xi, frame.whitener)
 
 
-def residual(xi: Array, whitener: Array) -> Term:
+def residual(xi: Array, whitener: Array) -> Residual:
     """L Log(R_net^T R) of the free joints: xi (F,3) rad now, whitener L (3F,3F), L^T L = Lambda_net.
 
     R = R_net Exp(xi) and Log(Exp(xi) Exp(dv)) = xi + J_r^-1(xi) dv.
@@ -29,4 +29,4 @@ def residual(xi: Array, whitener: Array) -> Term:
     J = np.zeros((F, 3, F, 3))
     f = np.arange(F)
     J[f, :, f, :] = rotations.right_jacobian_inv(xi)
-    return Term(whitener @ xi.ravel(), whitener @ J.reshape(3 * F, 3 * F))
+    return Residual(whitener @ xi.ravel(), whitener @ J.reshape(3 * F, 3 * F))

@@ -1,7 +1,7 @@
 """What a task is: one kind of evidence of a frame, as a whitened residual e and its Jacobian J.
 
 A frame minimises the sum over its tasks of |e + J dv|^2, dv (n,) rad the tangent step of the free joints
-(`hybrid.kinematics`). A task knows no other one.
+(`hybrid.point_kinematics`). A task knows no other one.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hybrid.kinematics import Configuration
+from hybrid.point_kinematics import Configuration
 from hybrid.worn import Worn
 from mocap.estimator import Pose, Sample
 from mocap.orientation import Array
 
 
-class Term(NamedTuple):
+class Residual(NamedTuple):
     """Whitened residual e (m,) and Jacobian J (m,n): cost |e + J dv|^2."""
 
     e: Array
@@ -46,14 +46,14 @@ class Frame(NamedTuple):
     dt: float
 
 
-class Evidence(NamedTuple):
+class TaskResult(NamedTuple):
     """What a task says of a frame.
 
     term: None where it says nothing. state: what it remembers, whatever becomes of the frame. counts: of what
     was left out, by name, for `TrackerState.counts`.
     """
 
-    term: Term | None
+    term: Residual | None
     state: Any = None
     counts: Mapping[str, int] = {}
 
@@ -74,20 +74,20 @@ class Task:
         """The state where nothing is remembered."""
         return None
 
-    def term(self, frame: Frame) -> Term | None:
+    def term(self, frame: Frame) -> Residual | None:
         """Residual and Jacobian at this frame, each row divided by its standard deviation; None: nothing."""
         raise NotImplementedError
 
-    def evidence(self, frame: Frame, state: Any) -> Evidence:
+    def evidence(self, frame: Frame, state: Any) -> TaskResult:
         """`term` with the state after it."""
-        return Evidence(self.term(frame), state)
+        return TaskResult(self.term(frame), state)
 
     def follow(self, frame: Frame, state: Any, dv: Array) -> tuple[Any, Mapping[str, int]]:
         """The state after the frame has been solved, by the step dv (F,3) rad, and counts of events."""
         return state, {}
 
 
-def normal_equations(terms: Sequence[Term]) -> tuple[Array, Array]:
+def normal_equations(terms: Sequence[Residual]) -> tuple[Array, Array]:
     """H (n,n) and g (n,) of 1/2 sum |e + J dv|^2 = 1/2 dv^T H dv + g^T dv + constant."""
     J = np.concatenate([t.J for t in terms])
     e = np.concatenate([t.e for t in terms])

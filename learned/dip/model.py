@@ -18,7 +18,7 @@ from mocap.errors import ShapeError
 from mocap.evaluation.metrics import DIP_JOINTS
 
 if TYPE_CHECKING:
-    from learned.training.virtual import Batch
+    from learned.training.virtual_windows import Batch
 
 SCALER_BATCHES = 40  # of 64 windows, that the scalers are fitted to
 

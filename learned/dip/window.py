@@ -15,7 +15,7 @@ from torch import Tensor
 
 from learned.dip.model import Dip
 from learned.dip.specification import SPECIFICATION
-from learned.online.estimator import NetworkPose
+from learned.online.estimator import NetworkEstimate
 from learned.runtime import Runtime, prepare
 from mocap.errors import PoserError, SensorError
 from mocap.orientation import Array
@@ -70,7 +70,7 @@ class DipWindow:
     @torch.inference_mode()
     def tick(
         self, state: DipState | None, R: Array, acc: Array, present: NDArray[np.bool_], jumped: bool
-    ) -> tuple[DipState, NetworkPose | None]:
+    ) -> tuple[DipState, NetworkEstimate | None]:
         state = self._fed(state, R, acc, present, jumped)
         if state.had <= self.future:
             return state, None
@@ -83,7 +83,7 @@ class DipWindow:
         local[0] = state.R_world_root[0]
         lost = [name for name, gone in zip(self.sensors, state.lost[0], strict=True) if gone]
         note = f"nothing from {', '.join(lost)}" if lost else ""
-        return state, NetworkPose(local, std.double().numpy(), note, self._covariance)
+        return state, NetworkEstimate(local, std.double().numpy(), note, self._covariance)
 
     def _fed(
         self, state: DipState | None, R: Array, acc: Array, present: NDArray[np.bool_], jumped: bool

@@ -18,6 +18,7 @@ import numpy as np
 import torch
 
 from mocap.errors import FormatError
+from mocap.findings import Finding, assumption, doubt
 from mocap.formats import Document, Format, Options, _checks, _holes, _physics, _pickled
 from mocap.motion import Motion
 from mocap.orientation import Array
@@ -43,12 +44,12 @@ def read(path: Path, options: Options) -> Document:
     start_s = kept.start / rate
     rec = Recording(rate, FIVE, R[kept], acc[kept], reference=reference, start_s=start_s)
     assumed = [
-        "orientations are those of the bones, in a y-up world, accelerations m/s^2 without gravity",
+        assumption("bones-y-up"),
     ]
     if options.rate_hz is None:
-        assumed.insert(0, f"rate {rate:g} Hz, that of the paper's network (--rate overrides)")
+        assumed.insert(0, assumption("rate-of-paper", rate_hz=rate))
     if "betas" in data and options.smpl is None:
-        assumed.append("the file's betas need an SMPL file (--smpl): the table's body is used")
+        assumed.append(assumption("betas-unused-smpl"))
     return Document("imuposer", rec, tuple(assumed), (*doubts, *_physics.calibrated(path, rec)))
 
 
@@ -83,6 +84,8 @@ def _field(path: Path, data: dict[str, Any], name: str) -> Array:
     # A view may declare more numbers than the file holds.
     if value.numel() * value.element_size() > value.untyped_storage().nbytes():
         raise FormatError(path, f"declares {shape}, more than the file holds", where)
+    if value.is_meta:
+        raise FormatError(path, "has a shape, but no numbers (torch's device meta)", where)
     width = WIDTHS[name]
     if value[:1].numel() != width and len(value):
         raise FormatError(path, f"is {shape}, expected (N, {width})", where)
@@ -91,7 +94,7 @@ def _field(path: Path, data: dict[str, Any], name: str) -> Array:
 
 def _reference(
     path: Path, data: dict[str, Any], rate: float, T: int, options: Options
-) -> tuple[Motion | None, slice, list[str]]:
+) -> tuple[Motion | None, slice, list[Finding]]:
     """The motion of `pose` and `trans` of the frames that it is known for (`_holes`), and these frames;
     without enough finite poses none, with a doubt.
     """
@@ -109,7 +112,7 @@ def _reference(
     if len(trans) != T:
         raise FormatError(path, f"is {trans.shape}, expected ({T}, 3)", "field trans")
     if not np.isfinite(trans[kept]).all():
-        doubts.append("some trans is not finite: the pelvis of the reference stays in place")
+        doubts.append(doubt("trans-not-finite"))
         return motion, kept, doubts
     return replace(motion, p_world_root=trans[kept] + body.offsets[0]), kept, doubts
 

@@ -18,7 +18,7 @@ from learned.errors import CheckpointError
 from learned.imuposer.features import ACC_WINDOW, imuposer_input, imuposer_pose
 from learned.imuposer.model import Imuposer
 from learned.imuposer.specification import COMBINATIONS, FRAMES, SPECIFICATION
-from learned.online.estimator import NetworkPose
+from learned.online.estimator import NetworkEstimate
 from learned.runtime import Runtime, prepare
 from mocap import sensors as places
 from mocap.errors import PoserError, SensorError
@@ -39,7 +39,7 @@ class ImuposerState:
     acc: NDArray[np.float32]
     rows: NDArray[np.float32] | None = None
     worn: tuple[int, ...] = ()
-    last: NetworkPose | None = None
+    last: NetworkEstimate | None = None
 
 
 class ImuposerWindow:
@@ -84,7 +84,7 @@ class ImuposerWindow:
         acc: Array,
         present: NDArray[np.bool_],
         jumped: bool,
-    ) -> tuple[ImuposerState, NetworkPose | None]:
+    ) -> tuple[ImuposerState, NetworkEstimate | None]:
         have = tuple(sorted(p for p, here in zip(self.place, present, strict=True) if here))
         worn = self.nearest(have)
         state, kept = self._fed(state, R, acc, present, jumped)
@@ -92,7 +92,7 @@ class ImuposerWindow:
             last = state.last
             # Frames pass without rows of theirs: those kept would be in the wrong place afterwards.
             state = replace(state, rows=None, worn=())
-            return state, last and NetworkPose(
+            return state, last and NetworkEstimate(
                 last.R_parent_joint, last.std_rad, "no device is worn"
             )
         rows = self._rows(state, worn, kept)
@@ -100,7 +100,7 @@ class ImuposerWindow:
         which = COMBINATIONS.index(worn)
         std = self.model.deviation_rad[which]
         note = "" if worn == have else f"worn {_names(have)}: only {_names(worn)} is used"
-        answer = NetworkPose(
+        answer = NetworkEstimate(
             pose.double().numpy(), std.double().numpy(), note, self._covariance[which]
         )
         return ImuposerState(state.R, state.acc, rows.numpy(), worn, answer), answer

@@ -22,7 +22,7 @@ UNKNOWN_RAD = np.pi / 2  # deviation of a joint of which nothing is known
 
 
 @dataclass(frozen=True, eq=False)
-class NetworkPose:
+class NetworkEstimate:
     """A network's pose: R_parent_joint (24,3,3), std_rad (24,3), why it is a fallback, if it is, and the
     covariance of its errors as in `mocap.estimator.Pose`."""
 
@@ -45,7 +45,7 @@ class RollingWindow(Protocol):
 
     def tick(
         self, state: Any, R: Array, acc: Array, present: NDArray[np.bool_], jumped: bool
-    ) -> tuple[Any, NetworkPose | None]: ...
+    ) -> tuple[Any, NetworkEstimate | None]: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +61,7 @@ class OnlineState:
     ticks: int = 0
     recent: tuple[Held, ...] = ()
     waiting: tuple[tuple[float, float], ...] = ()
-    answers: tuple[tuple[float, NetworkPose], ...] = ()
+    answers: tuple[tuple[float, NetworkEstimate], ...] = ()
 
 
 class Online:
@@ -150,7 +150,7 @@ class Online:
         return replace(state, network=network, ticks=state.ticks + 1, answers=answers)
 
     def _between(
-        self, answers: tuple[tuple[float, NetworkPose], ...], now: float, stamp: float
+        self, answers: tuple[tuple[float, NetworkEstimate], ...], now: float, stamp: float
     ) -> Pose:
         """The pose at time `now`, geodesically between the network's; outside them the ends hold."""
         if not answers:  # nothing has been measured, or samples came faster than their rate

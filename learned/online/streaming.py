@@ -6,6 +6,8 @@ from learned.model import Model
 from learned.online.estimator import Online, RollingWindow
 from learned.runtime import Precision, prepare
 from learned.spec import named
+from mocap import checked
+from mocap.errors import PoserError
 from mocap.skeleton import Skeleton
 
 
@@ -26,6 +28,9 @@ def stream(
     the specification's). skeleton: whose pelvis height the poses have. precision: of the recurrent matrices
     (`learned.runtime`). Raises SensorError for sensors that do not fit, PoserError for a window or a rate.
     """
+    checked.instance(model, Model, "stream: model", PoserError)
+    if any(x.is_meta for x in model.state_dict().values()):
+        raise PoserError("stream: the model's weights hold no numbers (device meta)")
     spec = model.config.specification
     sensors = spec.places if sensors is None else tuple(sensors)
     places = sensors if places is None else tuple(places)

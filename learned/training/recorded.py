@@ -16,7 +16,7 @@ import torch
 from learned import tree as kin
 from learned.online import holding
 from learned.training.validation import held
-from learned.training.virtual import Batch
+from learned.training.virtual_windows import Batch
 from mocap import orientation as ori
 from mocap.errors import PoserError
 from mocap.orientation import Array

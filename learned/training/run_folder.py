@@ -83,6 +83,15 @@ class Identity:
         }  # fmt: skip
 
 
+def _has_meta(value: Any) -> bool:
+    """Whether a tensor in it is of torch's device meta, which has a shape and no numbers."""
+    if isinstance(value, dict):
+        return any(map(_has_meta, value.values()))
+    if isinstance(value, list | tuple):
+        return any(map(_has_meta, value))
+    return isinstance(value, torch.Tensor) and value.is_meta
+
+
 @dataclass(frozen=True)
 class RunFolder:
     """The files of a run."""
@@ -133,6 +142,8 @@ class RunFolder:
             check_regular(self.state)
             state: dict[str, Any] = torch.load(self.state, weights_only=True, map_location="cpu")
             settings = _fixed(state["settings"])
+            if _has_meta(state):
+                raise ValueError("tensors without numbers")
         except FormatError:
             raise
         except pickle.UnpicklingError as e:

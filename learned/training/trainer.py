@@ -32,7 +32,7 @@ from learned.training.precision import bfloat16_pays
 from learned.training.run_folder import Identity, RunFolder, fingerprint, outline
 from learned.training.settings import TrainSettings
 from learned.training.validation import Windowed, score
-from learned.training.virtual import Batch
+from learned.training.virtual_windows import Batch
 from mocap.errors import PoserError
 
 SAVE_EVERY_S = 60.0

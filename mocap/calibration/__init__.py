@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mocap.exports import lazy
+from mocap.lazy_names import lazy
+from mocap.words import sentence, summary
 
 if TYPE_CHECKING:
     from mocap.calibration.pose_facing import PoseName
     from mocap.calibration.procedure import calibrate, diagnose
     from mocap.calibration.record import Calibration
-    from mocap.calibration.words import sentence, summary
 
 __all__ = ["Calibration", "PoseName", "calibrate", "diagnose", "sentence", "summary"]
 
@@ -22,7 +22,5 @@ __getattr__ = lazy(
         "PoseName": "pose_facing",
         "calibrate": "procedure",
         "diagnose": "procedure",
-        "sentence": "words",
-        "summary": "words",
     },
 )

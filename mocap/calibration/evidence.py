@@ -17,21 +17,21 @@ from mocap.calibration import limb_levels, posture
 from mocap.calibration.fusion import bridged
 from mocap.calibration.rates import Rates, measure
 from mocap.calibration.spikes import Spike, without_spikes
-from mocap.calibration.static_pose import StaticPose, Window
+from mocap.calibration.static_pose import StaticPose, StillWindow
 from mocap.calibration.stillness import still_runs
 from mocap.orientation import Array
 from mocap.recording import Bool, RawRecording
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
+class HeldPose:
     """The static pose as it was taken.
 
     name: "n" or "t"; arm_angle_deg: of the N-pose. facing (S,) rad: the wearer's forward in the world of
     each sensor; sigma (S,) rad: 1-sigma of it, pi where it was assumed.
     """
 
-    window: Window
+    window: StillWindow
     static: StaticPose
     name: str
     arm_angle_deg: float
@@ -49,11 +49,11 @@ class Evidence:
 
     raw: RawRecording
     spikes: tuple[Spike, ...] = ()
-    held: Held | None = None
+    held: HeldPose | None = None
     judged: tuple[str, ...] = ()
 
     @property
-    def pose(self) -> Held:
+    def pose(self) -> HeldPose:
         """The static pose. ValueError where there is none: only checks that need a pose may ask."""
         if self.held is None:
             raise ValueError("no static pose was taken")

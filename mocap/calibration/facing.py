@@ -29,7 +29,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.calibration.static_pose import StaticPose, Window
+from mocap.calibration.static_pose import StaticPose, StillWindow
 from mocap.errors import CalibrationError, SensorError
 from mocap.orientation import Array
 from mocap.recording import RawRecording
@@ -225,7 +225,7 @@ def _rate(raw: RawRecording, pose: StaticPose, sensor: str) -> Array:
 
 
 def from_motion(
-    raw: RawRecording, pose: StaticPose, window: Window, arms_hang: bool = True
+    raw: RawRecording, pose: StaticPose, window: StillWindow, arms_hang: bool = True
 ) -> list[Cue]:
     """Cues from whatever legs, trunk and arms do. arms_hang: the pose is an N-pose, not a T-pose."""
     cues = []

@@ -16,7 +16,7 @@ import numpy as np
 from mocap import sensors as places
 from mocap.calibration import facing as face
 from mocap.calibration import headings as heads
-from mocap.calibration.static_pose import StaticPose, Window, average, find_static
+from mocap.calibration.static_pose import StaticPose, StillWindow, average, find_static
 from mocap.findings import Finding
 from mocap.orientation import Array
 from mocap.recording import RawRecording
@@ -50,7 +50,7 @@ class PoseFacing:
 def find(
     raw: RawRecording,
     static: StaticPose,
-    window: Window,
+    window: StillWindow,
     bones: Array,
     arms_hang: bool,
     facing: float | None = None,
@@ -74,7 +74,7 @@ def find(
 def _cues(
     raw: RawRecording,
     static: StaticPose,
-    window: Window,
+    window: StillWindow,
     facing: float | None,
     axes: Mapping[str, str] | None,
     second: list[face.Cue],

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from mocap.calibration import facing as face
-from mocap.calibration.static_pose import StaticPose, Window
+from mocap.calibration.static_pose import StaticPose, StillWindow
 from mocap.calibration.stillness import SMOOTH_S
 from mocap.orientation import Array
 from mocap.recording import Bool, RawRecording
@@ -21,7 +21,7 @@ STANCE_S = 2.0  # dancers hold a pose for one
 SEAT_PELVIS_DEG = 18.0  # tilt of a pelvis that sits
 
 
-def seat_possible(raw: RawRecording, window: Window, pose: StaticPose) -> bool:
+def seat_possible(raw: RawRecording, window: StillWindow, pose: StaticPose) -> bool:
     """May the wearer have sat in the pose, without thighs to say so? The pelvis tilts as in a seat, then."""
     using = legs_in_use(raw, window)
     if using is None or "pelvis" not in raw.sensors or pair(raw, "thigh") or pair(raw, "pocket"):
@@ -36,7 +36,7 @@ def pair(raw: RawRecording, kind: str) -> list[int] | None:
     return [raw.sensors.index(n) for n in sides] if set(sides) <= set(raw.sensors) else None
 
 
-def legs_in_use(raw: RawRecording, window: Window) -> Bool | None:
+def legs_in_use(raw: RawRecording, window: StillWindow) -> Bool | None:
     """Frames (T,) outside the window in which the legs turn faster than IN_USE; None for too few."""
     worn = [s for s, n in enumerate(raw.sensors) if face.kind(n) in LEGS]
     if not worn:
@@ -73,7 +73,7 @@ def along(up: Array, facing: Array) -> float:
 def stance(
     runs: list[tuple[int, int]],
     raw: RawRecording,
-    window: Window,
+    window: StillWindow,
     pose: StaticPose,
     means: Array,
     judged: list[int],

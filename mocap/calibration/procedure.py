@@ -26,18 +26,18 @@ from mocap import orientation as ori
 from mocap import sensors as places
 from mocap.calibration import checks, fusion, pose_facing
 from mocap.calibration.blind import at_rest, blind, told
-from mocap.calibration.evidence import Evidence, Held, gather
+from mocap.calibration.evidence import Evidence, HeldPose, gather
 from mocap.calibration.pose_facing import OtherPose, PoseName
-from mocap.calibration.record import Calibration, Source, turned
-from mocap.calibration.static_pose import StaticPose, Window, average, find_static
-from mocap.calibration.words import summary
+from mocap.calibration.record import Calibration, OrientationSource, turned
+from mocap.calibration.static_pose import StaticPose, StillWindow, average, find_static
 from mocap.errors import CalibrationError
 from mocap.findings import Finding
 from mocap.orientation import Array
 from mocap.recording import RawRecording, Recording
 from mocap.stances import ARM_ANGLE_DEG, pose_bones
+from mocap.words import summary
 
-Orientation = Literal["auto", "file", "vqf"]
+OrientationChoice = Literal["auto", "file", "vqf"]
 
 
 def calibrate(
@@ -48,7 +48,7 @@ def calibrate(
     facing: float | None = None,
     axes: Mapping[str, str] | None = None,
     second: tuple[PoseName, float] | None = None,
-    orientation: Orientation = "auto",
+    orientation: OrientationChoice = "auto",
     scale_acc: bool = True,
     strict: bool = True,
 ) -> tuple[Recording, Calibration]:
@@ -71,7 +71,9 @@ def calibrate(
     other = OtherPose(*second, pose_bones(joints, second[0], arm_angle_deg)) if second else None
 
     # Gather.
-    source: Source = "vqf" if raw.R_world_sensor is None or orientation == "vqf" else "file"
+    source: OrientationSource = (
+        "vqf" if raw.R_world_sensor is None or orientation == "vqf" else "file"
+    )
     seen = raw if source == "file" else replace(raw, R_world_sensor=None)
     sensed = gather(at_rest(seen))
     findings = _refused_if(strict, checks.run(sensed, "sensors")) + told(seen)
@@ -81,7 +83,7 @@ def calibrate(
 
     # Decide.
     faced = pose_facing.find(fused, static, window, bones, pose == "n", facing, axes, other)
-    held = Held(window, static, pose, arm_angle_deg, faced.phi, faced.sigma)
+    held = HeldPose(window, static, pose, arm_angle_deg, faced.phi, faced.sigma)
 
     # Check.
     findings += _rival(raw, window) + faced.findings
@@ -96,7 +98,7 @@ def calibrate(
     return turned(measured, result), result
 
 
-def _allowed(raw: RawRecording, orientation: Orientation) -> None:
+def _allowed(raw: RawRecording, orientation: OrientationChoice) -> None:
     if orientation == "file" and raw.R_world_sensor is None:
         raise CalibrationError("the recording carries no orientation: use orientation='vqf'")
 
@@ -111,9 +113,9 @@ def _refused_if(strict: bool, findings: list[Finding]) -> list[Finding]:
 def _calibration(
     raw: RawRecording,
     bones: Array,
-    held: Held,
+    held: HeldPose,
     method: str,
-    source: Source,
+    source: OrientationSource,
     findings: list[Finding],
     scale: bool,
 ) -> Calibration:
@@ -152,8 +154,8 @@ def diagnose(raw: RawRecording, calibration: Calibration | None = None) -> list[
     if calibration.orientation == "vqf" or fused.R_world_sensor is None:
         fused = fusion.with_orientation(fused)
     start, stop = (round((t - raw.start_s) * raw.rate_hz) for t in calibration.time)
-    window = Window(start, stop, 0.0, True, False)
-    held = Held(
+    window = StillWindow(start, stop, 0.0, True, False)
+    held = HeldPose(
         window, average(fused, window), calibration.pose, calibration.arm_angle_deg,
         -calibration.heading, calibration.heading_sigma,
     )  # fmt: skip
@@ -161,7 +163,7 @@ def diagnose(raw: RawRecording, calibration: Calibration | None = None) -> list[
     return checks.settled(found)
 
 
-def _rival(raw: RawRecording, window: Window) -> list[Finding]:
+def _rival(raw: RawRecording, window: StillWindow) -> list[Finding]:
     """A warning where another window would have been about as good."""
     if window.rival is None:
         return []

@@ -15,15 +15,15 @@ import numpy as np
 from mocap import orientation as ori
 from mocap.calibration import fusion
 from mocap.calibration.spikes import without_spikes
-from mocap.calibration.words import sentence
 from mocap.errors import CalibrationError
 from mocap.findings import Finding
 from mocap.motion import Motion
 from mocap.orientation import Array
 from mocap.recording import RawRecording, Recording
+from mocap.words import sentence
 
 SCHEMA = "poser-calibration/1"
-Source = Literal["file", "vqf"]
+OrientationSource = Literal["file", "vqf"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,7 +36,7 @@ _UPRIGHT = ("pelvis", "sternum", "lower_back", "upper_back", "left_thigh", "righ
 
 
 @dataclass(frozen=True)
-class Window:
+class StillWindow:
     """Frames start to stop-1, taken for the static pose.
 
     rate: mean smoothed rate of rotation over sensors and frames, rad/s. still: whether it is a still
@@ -71,7 +71,7 @@ class StaticPose:
     wobble_deg: Array
 
 
-def find_static(raw: RawRecording, at: float | None = None) -> Window:
+def find_static(raw: RawRecording, at: float | None = None) -> StillWindow:
     """The window of the static pose.
 
     at: a time in s on the recording's clock (`raw.start_s` is frame 0); the still run around it, at
@@ -106,7 +106,7 @@ def find_static(raw: RawRecording, at: float | None = None) -> Window:
         and not _sits(_leans(raw, rate, *windows[k]), lean)
     ]
     rival = rivals[0] if rivals else None
-    return Window(start, stop, float(rate[start:stop].mean()), True, True, rival)
+    return StillWindow(start, stop, float(rate[start:stop].mean()), True, True, rival)
 
 
 def _apart_deg(raw: RawRecording, first: tuple[int, int], other: tuple[int, int]) -> float:
@@ -121,7 +121,7 @@ def _apart_deg(raw: RawRecording, first: tuple[int, int], other: tuple[int, int]
     return float(np.degrees(np.arccos(np.clip(np.where(size > 0, cos, 1.0), -1, 1))).max())
 
 
-def average(raw: RawRecording, window: Window) -> StaticPose:
+def average(raw: RawRecording, window: StillWindow) -> StaticPose:
     """Mean orientation and specific force of every sensor over the window.
 
     Needs R_world_sensor. Raises CalibrationError naming a sensor that has no valid sample there.
@@ -156,7 +156,7 @@ def _drift(R: Array) -> tuple[float, float]:
     return float(np.degrees(ori.angle_between(*means))), float(np.degrees(wobble))
 
 
-def _around(raw: RawRecording, rate: Array, at: float) -> Window:
+def _around(raw: RawRecording, rate: Array, at: float) -> StillWindow:
     last = raw.start_s + (len(raw) - 1) / raw.rate_hz
     if not raw.start_s - 1e-9 <= at <= last + 1e-9:
         raise CalibrationError(
@@ -169,7 +169,7 @@ def _around(raw: RawRecording, rate: Array, at: float) -> Window:
     run = next(((a, b) for a, b in still_runs(raw) if a <= k < b), None)
     if run is None:
         if not rate[start:stop].mean() < threshold(raw, rate):
-            return Window(start, stop, float(rate[start:stop].mean()), False, False)
+            return StillWindow(start, stop, float(rate[start:stop].mean()), False, False)
         # Noise broke the stance here, so it goes on for as long as either side is still.
         moves = np.flatnonzero(~still)
         before, after = moves[moves < start], moves[moves >= stop]
@@ -178,7 +178,7 @@ def _around(raw: RawRecording, rate: Array, at: float) -> Window:
             int(after[0]) if len(after) else len(raw),
         )
     start, stop = max(run[0], k - half), min(run[1], k + half + 1)
-    return Window(start, stop, float(rate[start:stop].mean()), True, False)
+    return StillWindow(start, stop, float(rate[start:stop].mean()), True, False)
 
 
 def _calmest(slow: Array, a: int, b: int, rate_hz: float) -> tuple[int, int]:

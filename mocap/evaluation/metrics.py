@@ -114,15 +114,15 @@ JSON_NAMES: tuple[str, ...] = tuple(
 )
 
 
-def _check_start(prediction: Motion, reference: Motion) -> None:
+def _check_start(prediction: Motion, other: Motion | Recording, what: str) -> None:
     """Raises PoserError for motions of different times: frames would be compared that are not of one moment.
 
     A start of 0 may mean that nobody has said when: then the frames are taken as they are.
     """
-    a, b = prediction.start_s, reference.start_s
-    if a and b and abs(a - b) > (1 + 1e-6) / min(prediction.rate_hz, reference.rate_hz):
+    a, b = prediction.start_s, other.start_s
+    if a and b and abs(a - b) > (1 + 1e-6) / min(prediction.rate_hz, other.rate_hz):
         raise PoserError(
-            f"evaluate: the prediction starts at {a:g} s, the reference at {b:g} s; cut both to one time "
+            f"evaluate: the prediction starts at {a:g} s, the {what} at {b:g} s; cut both to one time "
             f"(mocap.timeline)"
         )
 
@@ -152,7 +152,12 @@ def evaluate(
     checked.instance(prediction, Motion, "evaluate: prediction", PoserError)
     if reference is not None:
         checked.instance(reference, Motion, "evaluate: reference", PoserError)
-        _check_start(prediction, reference)
+        _check_start(prediction, reference, "reference")
+    if recording is not None:
+        checked.instance(recording, Recording, "evaluate: recording", PoserError)
+        _check_start(prediction, recording, "recording")
+    if seen is not None:
+        seen = checked.names(seen, "evaluate: seen", PoserError)
     left_out = None
     if recording is not None and seen is not None:
         left_out = left_out_deg(prediction, recording, seen)
@@ -225,16 +230,14 @@ def _inside(
 
 def _counts(reference: Motion, trusted: Mask | None) -> Mask:
     """(T,): the frames of the reference that count."""
-    own = reference.trusted if trusted is None else np.asarray(trusted)
+    own = reference.trusted
+    if trusted is not None:
+        own = checked.truths(trusted, (len(reference),), "evaluate: trusted", PoserError)
     if own is None:
         return np.ones(len(reference), bool)
-    if own.shape != (len(reference),) or own.dtype != bool:
-        raise PoserError(
-            f"evaluate: trusted must be ({len(reference)},) bool, got {own.shape} {own.dtype}"
-        )
     if not own.any():
         raise PoserError("evaluate: no frame of the reference is trusted")
-    return np.array(own)
+    return own
 
 
 def left_out_deg(prediction: Motion, recording: Recording, seen: tuple[str, ...]) -> float | None:

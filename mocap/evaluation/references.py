@@ -24,10 +24,9 @@ def with_reference(
     """The recording with the motion as its reference, brought to its frames, and what is worth knowing of it.
 
     timed: the motion's `start_s` is on the recording's clock; else frame 0 lies on frame 0 of a recording
-    that lasts as long. source: what errors call the motion. What it does not cover is cut off. Findings, see
-    `words`: "reference-cut",
-    "reference-replaced", "reference-apart". Raises PoserError where they have no two frames in common, or
-    last differently and are not timed.
+    that lasts as long. source: what errors and findings call the motion. What it does not cover is cut off.
+    Findings: "reference-cut", "reference-replaced", "reference-apart". Raises PoserError where they have no
+    two frames in common, or last differently and are not timed.
     """
     if not timed:
         if len(motion) == len(recording) and abs(motion.rate_hz / recording.rate_hz - 1) < ROUNDED:
@@ -45,12 +44,12 @@ def with_reference(
     kept = recording.slice(a, b)
     found = []
     if len(kept) < len(recording):
-        details = {"of": timeline.span(recording), "kept": timeline.span(kept)}
+        details = {"of": timeline.span(recording), "kept": timeline.span(kept), "source": source}
         found.append(Finding("warning", None, "reference-cut", float(len(kept)), details))
     if recording.reference is not None:
         found.append(Finding("warning", None, "reference-replaced"))
     made = replace(kept, reference=_at(motion, kept))
-    return made, found + _apart(made)
+    return made, found + _apart(made, source)
 
 
 def same_time(recording: Recording, reference: Motion, why: str) -> None:
@@ -77,7 +76,7 @@ def _at(motion: Motion, recording: Recording) -> Motion:
     return replace(made, start_s=recording.start_s)  # which rounding has left
 
 
-def _apart(made: Recording) -> list[Finding]:
+def _apart(made: Recording, source: str) -> list[Finding]:
     """A warning where the motion's bones lie far from what the sensors measured."""
     assert made.reference is not None
     bones, valid = made.reference.R_world_joint[:, made.joint], made.ori_valid
@@ -87,4 +86,6 @@ def _apart(made: Recording) -> list[Finding]:
     apart = float(np.median(np.rad2deg(np.linalg.norm(ori.log(R), axis=-1))))
     if apart <= APART_DEG:
         return []
-    return [Finding("warning", None, "reference-apart", apart, {"apart_deg": apart})]
+    return [
+        Finding("warning", None, "reference-apart", apart, {"apart_deg": apart, "source": source})
+    ]

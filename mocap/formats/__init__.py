@@ -15,9 +15,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 from mocap.errors import FormatError, PoserError
+from mocap.findings import Finding, doubt
 from mocap.formats import _files, _foreign
 from mocap.motion import Motion
 from mocap.recording import RawRecording, Recording
+from mocap.words import sentence
 
 Content = Motion | RawRecording | Recording
 Kind = Literal["motion", "recording", "raw"]
@@ -61,16 +63,25 @@ class _Watched(Options):
 
 @dataclass(frozen=True)
 class Document:
-    """A file's content, and what the reader assumed or doubts. kind is given by the content's type.
+    """A file's content, and what the reader assumed and doubts of it. kind is given by the content's type.
 
+    assumed, doubts: findings; `assumptions` and `warnings` are what they say, in sentences.
     stated_hz: the rate that the file states itself, where the content has another, which the user said.
     """
 
     format: str
     content: Content
-    assumptions: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
+    assumed: tuple[Finding, ...] = ()
+    doubts: tuple[Finding, ...] = ()
     stated_hz: float | None = None
+
+    @property
+    def assumptions(self) -> tuple[str, ...]:
+        return tuple(map(sentence, self.assumed))
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        return tuple(map(sentence, self.doubts))
 
     @property
     def kind(self) -> Kind:
@@ -163,7 +174,7 @@ def read(path: str | Path, options: Options | None = None) -> Document:
     """Read a file of any known format. Raises FormatError (one sentence naming file and place).
 
     A mapping renames the sensors of a raw recording whose reader does not do so itself. An option that
-    nobody looks at is named in the warnings.
+    nobody looks at is a doubt.
     """
     path = Path(path)
     told = {k: getattr(options, k) for k in _OPTIONS} if options else {}
@@ -174,8 +185,8 @@ def read(path: str | Path, options: Options | None = None) -> Document:
         if isinstance(doc.content, RawRecording) and "mapping" not in watched.asked:
             doc = replace(doc, content=_renamed(path, doc.content, watched.mapping))
         idle = [k for k, v in told.items() if v and k not in watched.asked]
-        more = [f"{k.removesuffix('_hz')} was given, but has no effect on this file" for k in idle]
-        return replace(doc, warnings=(*doc.warnings, *more)) if more else doc
+        more = [doubt("option-unused", option=k.removesuffix("_hz")) for k in idle]
+        return replace(doc, doubts=(*doc.doubts, *more)) if more else doc
     except FormatError:
         raise
     except PoserError as e:

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from mocap.errors import FormatError
+from mocap.findings import Finding, assumption, doubt
 from mocap.orientation import Array
 
 CHANNELS = ("xposition", "yposition", "zposition", "xrotation", "yrotation", "zrotation")
@@ -43,14 +44,14 @@ class BvhJoint:
 class BvhFile:
     """A parsed file: joints (parents first) and `values` (T, total channels), degrees and file units.
 
-    assumptions, warnings: what the text left open or got wrong, in sentences.
+    assumed, doubts: what the text left open or got wrong.
     """
 
     joints: tuple[BvhJoint, ...]
     rate_hz: float
     values: Array
-    assumptions: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
+    assumed: tuple[Finding, ...] = ()
+    doubts: tuple[Finding, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -157,10 +158,10 @@ def parse(path: Path, data: bytes) -> BvhFile:
     if bad.any():
         t, c = (int(i) for i in np.argwhere(bad)[0])
         raise FormatError(path, f"found the value {values[t, c]:g}", _column_name(joints, t, c))
-    file = BvhFile(joints, head.rate_hz, values, head.assumptions, doubts)
+    file = BvhFile(joints, head.rate_hz, values, head.assumed, doubts)
     if file.unmoved:
-        said = f"the positions of {len(file.unmoved)} joints are all zero, so their OFFSETs hold"
-        file = replace(file, assumptions=(*file.assumptions, said))
+        said = assumption("offsets-hold", joints=len(file.unmoved))
+        file = replace(file, assumed=(*file.assumed, said))
     return file
 
 
@@ -293,7 +294,7 @@ class _Head:
     rate_hz: float
     body: bytes
     line: int
-    assumptions: tuple[str, ...]
+    assumed: tuple[Finding, ...]
 
 
 def _motion_header(path: Path, data: bytes, line: int) -> _Head:
@@ -308,7 +309,7 @@ def _motion_header(path: Path, data: bytes, line: int) -> _Head:
     return _Head(int(count), rate, data[match.end() :], after, said)
 
 
-def _rate(path: Path, text: str) -> tuple[float, tuple[str, ...]]:
+def _rate(path: Path, text: str) -> tuple[float, tuple[Finding, ...]]:
     """Hz of a Frame Time in s, else in ms, and what was assumed."""
     try:
         frame_time = float(text)
@@ -318,11 +319,11 @@ def _rate(path: Path, text: str) -> tuple[float, tuple[str, ...]]:
         return rate_of(text)
     if 1.0 < frame_time <= 1000.0:
         rate, _ = rate_of(text, 1000.0)
-        return rate, (f"Frame Time is {text[:40]}, read as milliseconds: {rate:.6g} Hz",)
+        return rate, (assumption("frame-time-ms", text=text[:40], rate_hz=rate),)
     raise FormatError(path, f"Frame Time is {text[:40]} s, expected 0.0001 to 1 s")
 
 
-def rate_of(frame_time: str, per_second: float = 1.0) -> tuple[float, tuple[str, ...]]:
+def rate_of(frame_time: str, per_second: float = 1.0) -> tuple[float, tuple[Finding, ...]]:
     """Hz of a printed frame time, and what was assumed: the usual rate that rounds to these digits, or whose
     further digits were cut off (0.0083 of 120 Hz), else the inverse.
 
@@ -342,10 +343,10 @@ def rate_of(frame_time: str, per_second: float = 1.0) -> tuple[float, tuple[str,
     rate = min(near or fits, key=lambda r: abs(per_second / r - value))
     if abs(rate * value / per_second - 1) < 1e-3:
         return rate, ()
-    return rate, (f"Frame Time {frame_time} is {rate:.6g} Hz, of a time with few digits",)
+    return rate, (assumption("frame-time-rounded", text=frame_time, rate_hz=rate),)
 
 
-def _numbers(path: Path, head: _Head, columns: int) -> tuple[Array, tuple[str, ...]]:
+def _numbers(path: Path, head: _Head, columns: int) -> tuple[Array, tuple[Finding, ...]]:
     """The (frames, columns) numbers, and doubts. Numbers count, not the lines that they stand on."""
     count = _words_per_line(head.body)
     whole, rest = divmod(int(count.sum()), columns)
@@ -364,14 +365,14 @@ def _numbers(path: Path, head: _Head, columns: int) -> tuple[Array, tuple[str, .
     values = _parsed(head.body)
     if len(values) != whole * columns:
         raise _not_a_number(path, head.body, head.line)
-    doubts: tuple[str, ...] = ()
+    doubts: tuple[Finding, ...] = ()
     if whole != head.frames:
         # One off is a count from zero or of an end; anything else is a file cut short or joined.
         if abs(whole - head.frames) > 1:
             raise FormatError(
                 path, f"found {whole} frames, expected {head.frames} (its 'Frames:' line)"
             )
-        doubts = (f"holds {whole} frames, its 'Frames:' line says {head.frames}: read as they are",)
+        doubts = (doubt("frames-line", frames=whole, stated=head.frames),)
     return values.reshape(whole, columns), doubts
 
 

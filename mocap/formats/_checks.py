@@ -1,7 +1,7 @@
 """What every reader of recordings checks as it parses: rotations, quaternions, time, gaps.
 
-A violation raises FormatError naming file, frame, sensor and field; a doubt is returned as a text for
-`Document.warnings`. What units and axes must fulfil is in `_physics`.
+A violation raises FormatError naming file, frame, sensor and field; a doubt is a finding of
+`Document.doubts`. What units and axes must fulfil is in `_physics`.
 """
 
 from __future__ import annotations
@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from mocap import orientation as ori
 from mocap.errors import FormatError
+from mocap.findings import Finding, doubt
 from mocap.formats import Document, Options
 from mocap.orientation import Array
-from mocap.recording import gaps
+from mocap.recording import RawRecording, Recording, gaps
 
 Names = tuple[str, ...]
 ROTATION_TOLERANCE = 0.02  # text files round to 3 or 4 decimals
@@ -79,32 +80,36 @@ def quaternions(
     return ori.from_quat(q, scalar_first), int(zero.sum())
 
 
-def gap_report(valid: NDArray[np.bool_], sensors: Names) -> list[str]:
+def gap_report(valid: NDArray[np.bool_], sensors: Names) -> list[Finding]:
     """One warning for all samples that are missing, with counts by sensor."""
     if valid.all():
         return []
     longest = max(g["frames"] for g in gaps(valid))
-    return [
-        f"{int((~valid).sum())} of {valid.size} samples are missing or not finite "
-        f"({_by_sensor(~valid, sensors)}), the longest gap {longest} frames"
-    ]
+    return [_missing(~valid, sensors, None, longest)]
 
 
-def half_report(half: NDArray[np.bool_], sensors: Names, what: str) -> list[str]:
+def rotation_report(rec: RawRecording | Recording) -> list[Finding]:
+    """One warning for the samples that are taken for missing since their orientation is no rotation."""
+    counts = rec.no_rotation
+    if counts is None or not counts.any():
+        return []
+    return [doubt("no-rotation", by_sensor=dict(zip(rec.sensors, counts.tolist(), strict=True)))]
+
+
+def half_report(half: NDArray[np.bool_], sensors: Names, what: str) -> list[Finding]:
     """One warning for the samples (T,S) that lack `what` alone, and are used without it."""
     if not half.any():
         return []
-    return [
-        f"{int(half.sum())} of {half.size} samples have no {what} ({_by_sensor(half, sensors)})"
-    ]
+    return [_missing(half, sensors, what)]
 
 
-def _by_sensor(lost: NDArray[np.bool_], sensors: Names) -> str:
-    """Counts of samples (T,S) by sensor."""
-    count = lost.sum(axis=0)
-    if len(sensors) > 1 and (count == count[0]).all():
-        return f"{count[0]} of each sensor"
-    return ", ".join(f"{n} {k}" for n, k in zip(sensors, count, strict=True) if k)
+def _missing(
+    lost: NDArray[np.bool_], sensors: Names, what: str | None, longest: int | None = None
+) -> Finding:
+    counts = dict(zip(sensors, lost.sum(axis=0).tolist(), strict=True))
+    return doubt(
+        "missing-samples", what=what, of=lost.size, by_sensor=counts, longest_frames=longest
+    )
 
 
 def rates(R_world_sensor: Array, rate_hz: float) -> Array:

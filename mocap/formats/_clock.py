@@ -8,7 +8,8 @@ median lateness before and after it does.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -16,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.errors import FormatError
+from mocap.findings import Finding, doubt
 from mocap.orientation import Array
 
 MAX_GROWTH = 4  # a grid with its gaps filled holds at most this many times the samples of the file
@@ -32,12 +34,12 @@ Frames = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """rate_hz; frame (N,) of each stamp; doubts: what was found, in sentences; slow_s (N,): the stamps
+    """rate_hz; frame (N,) of each stamp; doubts: what was found; slow_s (N,): the stamps
     without their jitter, s."""
 
     rate_hz: float
     frames: Frames
-    doubts: tuple[str, ...]
+    doubts: tuple[Finding, ...]
     slow_s: Array
 
 
@@ -179,16 +181,21 @@ def _check_gaps(path: Path, t: Array, step: Array, usual: float, lost: Frames, w
         )
 
 
-def _doubts(where: str, off: _Off, frames: Frames, samples: int) -> list[str]:
-    said = []
+def _doubts(where: str, off: _Off, frames: Frames, samples: int) -> list[Finding]:
+    found = []
     if off.worst > 0.1:
-        said.append(f"{where}: stamps jitter by up to {off.worst:.0%} of a step, read as even")
+        found.append(doubt("stamps-jitter", where=where, jitter=float(off.worst)))
     if off.wander > 0.5:
-        said.append(
-            f"{where}: the clock wanders by up to {off.wander:.1f} frames around {off.rate_hz:.6g} Hz, "
-            f"read as even"
-        )
+        wander, rate = float(off.wander), float(off.rate_hz)
+        found.append(doubt("clock-wanders", where=where, wander_frames=wander, rate_hz=rate))
     lost = int(frames[-1]) + 1 - samples
     if lost:
-        said.append(f"{where}: {lost} of {frames[-1] + 1} samples are missing")
-    return said
+        found.append(doubt("stamps-missing", where=where, count=lost, of=int(frames[-1]) + 1))
+    return found
+
+
+def within(place: str, doubts: Sequence[Finding]) -> list[Finding]:
+    """Doubts of one of several clocks: `place` stands before where they are."""
+    return [
+        replace(d, details={**d.details, "where": f"{place}: {d.details['where']}"}) for d in doubts
+    ]

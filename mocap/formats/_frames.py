@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mocap import orientation as ori
+from mocap.findings import Finding
 from mocap.formats._source import INDEX
 from mocap.orientation import Array
 
@@ -32,8 +33,8 @@ class Neutral:
     U: Array
     F: dict[int, Array]
     F_spine: tuple[Array, ...]
-    assumptions: tuple[str, ...]
-    warnings: tuple[str, ...] = ()
+    assumed: tuple[Finding, ...]
+    doubts: tuple[Finding, ...] = ()
     own_limbs: bool = True
     t_pose_frames: int = T_POSE_FRAMES
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mocap import orientation as ori
+from mocap.findings import Finding, assumption, doubt
 from mocap.formats._frames import (
     SIDES,
     SNAP_DEG,
@@ -16,7 +17,7 @@ from mocap.formats._frames import (
     snapped,
     unit,
 )
-from mocap.formats._source import INDEX, Roles, Source
+from mocap.formats._source import INDEX, ForeignMotion, Roles
 from mocap.orientation import Array
 from mocap.skeleton import JOINTS, PARENTS
 
@@ -24,7 +25,7 @@ from mocap.skeleton import JOINTS, PARENTS
 NEAR_DEG = 8.0
 
 
-def from_geometry(source: Source, roles: Roles, U: Array) -> Neutral:
+def from_geometry(source: ForeignMotion, roles: Roles, U: Array) -> Neutral:
     """Neutral frames of a skeleton without a known pose.
 
     Pelvis and chest: from where the limbs attach. Thigh, upper arm: from the bone and the hinge it bends
@@ -35,16 +36,13 @@ def from_geometry(source: Source, roles: Roles, U: Array) -> Neutral:
     """
     G, p = source.forward
     F: dict[int, Array] = {}
-    doubts: list[str] = []
+    doubts: list[Finding] = []
 
     def snap(i: int, F_i: Array, within: float = SNAP_DEG) -> Array:
         near, off = snapped(F_i)
         if off <= within:
             return near
-        doubts.append(
-            f"the local axes of {source.names[i]} lie {off:.0f} deg off the body's, so its twist is "
-            f"that of the mean posture"
-        )
+        doubts.append(doubt("axes-aslant", joint=source.names[i], off_deg=off))
         return F_i
 
     F[0] = snap(roles.joint[0], _trunk_frame(source, roles, roles.joint[0], ("hip", "hip")))
@@ -75,14 +73,10 @@ def from_geometry(source: Source, roles: Roles, U: Array) -> Neutral:
         like = _like(G[:, i], above)
         near, off = snapped(like)
         F[j] = near if off < NEAR_DEG else like
-    said = (
-        "zero rotations are no rest pose: each joint's axes are found from the bones' geometry and the "
-        "hinges of knees and elbows"
-    )
-    return Neutral(U, F, F_spine, (said,), tuple(doubts))
+    return Neutral(U, F, F_spine, (assumption("axes-by-geometry"),), tuple(doubts))
 
 
-def _standing_foot(source: Source, roles: Roles, j: int, U: Array) -> Array:
+def _standing_foot(source: ForeignMotion, roles: Roles, j: int, U: Array) -> Array:
     """F of the ankle j: in the quarter of the frames in which its toes move least, the foot is level."""
     G, p = source.forward
     i, toe = roles.joint[j], p[:, roles.target[j]]
@@ -99,7 +93,7 @@ def _standing_foot(source: Source, roles: Roles, j: int, U: Array) -> Array:
     return near if off < NEAR_DEG else F
 
 
-def _straight(source: Source, roles: Roles, j: int, F: dict[int, Array]) -> bool:
+def _straight(source: ForeignMotion, roles: Roles, j: int, F: dict[int, Array]) -> bool:
     """Whether zero rotation of joint j continues the bone above it straight on.
 
     Where nothing lies beyond the joint to tell by (a hand without fingers), whether it turns, on
@@ -117,7 +111,7 @@ def _straight(source: Source, roles: Roles, j: int, F: dict[int, Array]) -> bool
     return bool(ori.angle(mean) < np.radians(75))
 
 
-def _trunk_frame(source: Source, roles: Roles, i: int, ends: tuple[str, str]) -> Array:
+def _trunk_frame(source: ForeignMotion, roles: Roles, i: int, ends: tuple[str, str]) -> Array:
     """F of a trunk joint: left from where the limbs attach, up from the other end of the trunk."""
     G, p = source.forward
     ours = {s: roles.joint.get(INDEX[f"{s}_{ends[1]}"], roles.joint[INDEX[f"{s}_{ends[0]}"]])
@@ -150,7 +144,7 @@ _PAIRS = {"hip": ("hip", "knee"), "knee": ("hip", "knee"),
           "shoulder": ("shoulder", "elbow"), "elbow": ("shoulder", "elbow")}  # fmt: skip
 
 
-def _hinge(source: Source, roles: Roles, j: int) -> Array | None:
+def _hinge(source: ForeignMotion, roles: Roles, j: int) -> Array | None:
     """Mean axis (3,), in the frame of joint j, that its limb bends about; None if it stays straight.
 
     The cross product of the bones above and below the hinge: of thigh and shank the knee's axis, of upper arm

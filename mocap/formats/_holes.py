@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mocap import orientation as ori
+from mocap.findings import Finding, doubt
 from mocap.orientation import Array
 from mocap.recording import Bool, gaps
 
@@ -21,33 +22,33 @@ LONGEST_S = 0.25
 
 
 @dataclass(frozen=True, eq=False)
-class Mended:
-    """Values without holes of the frames `kept` of the file, and what was done, in words.
+class Bridged:
+    """Values without holes of the frames `kept` of the file, and what was done.
 
-    Where too little would be left, the values as they were, of all frames, and nothing in words.
+    Where too little would be left, the values as they were, of all frames, and nothing done.
     """
 
     values: Array
     kept: slice
-    notes: tuple[str, ...] = ()
+    notes: tuple[Finding, ...] = ()
 
 
-def rotations(R: Array, rate_hz: float) -> Mended:
+def rotations(R: Array, rate_hz: float) -> Bridged:
     """R (T,K,3,3), NaN where missing, mended."""
     has = np.asarray(np.isfinite(R).all(axis=(-1, -2)), bool)
     whole = np.asarray(has.all(axis=1), bool)
     kept = _kept(whole, rate_hz)
     if whole.all() or kept is None:
-        return Mended(R, slice(0, len(R)))
+        return Bridged(R, slice(0, len(R)))
     out, known = R[kept].copy(), has[kept]
     times = np.arange(len(out))
     for j in np.flatnonzero(~known.all(axis=0)):
         ok = known[:, j]
         out[~ok, j] = ori.interpolate(times[ok], out[ok, j], times[~ok])
-    return Mended(out, kept, _notes(whole, kept))
+    return Bridged(out, kept, _notes(whole, kept))
 
 
-def poses(values: Array, rate_hz: float) -> Mended:
+def poses(values: Array, rate_hz: float) -> Bridged:
     """SMPL axis-angle (T,72) rad, NaN where missing, mended; what is there stays to the last digit."""
     w = values.reshape(len(values), -1, 3)
     has = np.asarray(np.isfinite(w).all(axis=-1), bool)
@@ -56,7 +57,7 @@ def poses(values: Array, rate_hz: float) -> Mended:
     found = rotations(R, rate_hz)
     out, known = w[found.kept].copy(), has[found.kept]
     out[~known] = ori.log(found.values[~known])
-    return Mended(out.reshape(len(out), -1), found.kept, found.notes)
+    return Bridged(out.reshape(len(out), -1), found.kept, found.notes)
 
 
 def _kept(whole: Bool, rate_hz: float) -> slice | None:
@@ -79,16 +80,14 @@ def _holes(whole: Bool) -> list[tuple[int, int]]:
     return [(g["start"], g["frames"]) for g in gaps(whole[:, None])]
 
 
-def _notes(whole: Bool, kept: slice) -> tuple[str, ...]:
+def _notes(whole: Bool, kept: slice) -> tuple[Finding, ...]:
     said = []
     cut = [(0, kept.start), (kept.stop, len(whole))]
-    ends = " and ".join(f"{a} to {b - 1}" for a, b in cut if b > a)
+    ends = [[a, b - 1] for a, b in cut if b > a]
     if ends:
-        said.append(f"frames {ends} of {len(whole)} are cut off: the reference has a hole there")
+        said.append(doubt("hole-cut", cut=ends, of=len(whole)))
     inside = _holes(whole[kept])
     if inside:
-        said.append(
-            f"{sum(n for _, n in inside)} poses of the reference are not finite: bridged, the longest "
-            f"hole {max(n for _, n in inside)} frames"
-        )
+        lengths = [n for _, n in inside]
+        said.append(doubt("hole-bridged", poses=sum(lengths), longest_frames=max(lengths)))
     return tuple(said)

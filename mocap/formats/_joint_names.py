@@ -135,12 +135,6 @@ def match(names: Sequence[str], given: Mapping[str, str] | None = None) -> dict[
     return ours
 
 
-def said(named: Mapping[str, str]) -> str:
-    """What was matched, {source name: our name}, for `Document.assumptions`."""
-    pairs = ", ".join(f"{name} is {joint}" for name, joint in named.items())
-    return f"joints by their names: {pairs}"
-
-
 def unmatched(names: Sequence[str], ours: Mapping[str, int]) -> str:
     """What to tell where a required joint was not recognised: names there are, the option to write."""
     line = ",".join(f"NAME={j}" for j in REQUIRED if j not in ours)

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from mocap import orientation as ori
+from mocap.findings import assumption
 from mocap.formats import _rigs, _upright
 from mocap.formats._frames import (
     SIDES,
@@ -22,30 +23,29 @@ from mocap.formats._frames import (
     unit,
 )
 from mocap.formats._geometry import from_geometry
-from mocap.formats._source import INDEX, Roles, Source
+from mocap.formats._source import INDEX, ForeignMotion, Roles
 from mocap.orientation import Array
 from mocap.skeleton import JOINTS
 
 NEAR_T_DEG = 10.0  # a limb that lies nearer to the T-pose is in it: rigs place joints by so much
 
 
-def find(source: Source, roles: Roles, up: _upright.Up | None = None) -> Neutral:
+def find(source: ForeignMotion, roles: Roles, up: _upright.Up | None = None) -> Neutral:
     """The neutral frames of a source: of its pose, and what is known of its rig beyond that."""
     found, rig = of_pose(source, roles, up), _rigs.known(source)
     if rig is None:
         return found
     frames = {j: F for j, F in rig.frames().items() if j in roles.joint}
-    said = (*found.assumptions, rig.said)
     return replace(
         found,
         F=found.F | frames,
-        assumptions=said,
+        assumed=(*found.assumed, assumption(rig.code)),
         own_limbs=rig.own_limbs,
         t_pose_frames=rig.t_pose_frames,
     )
 
 
-def of_pose(source: Source, roles: Roles, up: _upright.Up | None = None) -> Neutral:
+def of_pose(source: ForeignMotion, roles: Roles, up: _upright.Up | None = None) -> Neutral:
     """The neutral frames that a source's poses show.
 
     In this order: zero rotations, if the limbs then point as in a T-, A- or N-pose; frame 0, if it is
@@ -55,8 +55,7 @@ def of_pose(source: Source, roles: Roles, up: _upright.Up | None = None) -> Neut
     U = _up(source, roles, Q) if up is None else _upright.world(up)
     if Q is not None and _is_standing(source.rest @ Q, roles):
         F = {j: Q @ S for j, S in _straightened(source.rest @ Q, roles).items() if j in roles.joint}
-        said = "zero rotations are the rest pose, and its straightened limbs are our T-pose"
-        return Neutral(U, F, (Q,) * len(roles.spine), (said,))
+        return Neutral(U, F, (Q,) * len(roles.spine), (assumption("rest-pose"),))
     G, p = source.forward
     if is_t_pose(p[0] @ U.T, roles, tolerance_deg=20.0):
         left = (p[0] @ U.T)[[roles.joint[INDEX["left_hip"]], roles.joint[INDEX["right_hip"]]]]
@@ -65,8 +64,7 @@ def of_pose(source: Source, roles: Roles, up: _upright.Up | None = None) -> Neut
         S = _straightened(p[0] @ Q0, roles)
         F = {j: G[0, i].T @ Q0 @ S[j] for j, i in roles.joint.items()}
         spine = tuple(G[0, i].T @ Q0 for i in roles.spine)
-        said = "frame 0 is a T-pose and gives each joint's rest orientation"
-        return Neutral(U, F, spine, (said,))
+        return Neutral(U, F, spine, (assumption("t-pose-first"),))
     return from_geometry(source, roles, U)
 
 
@@ -127,7 +125,7 @@ def _body_axes(p: Array, roles: Roles, snap: bool) -> Array | None:
     return snapped(B)[0] if snap else B
 
 
-def _up(source: Source, roles: Roles, Q: Array | None) -> Array:
+def _up(source: ForeignMotion, roles: Roles, Q: Array | None) -> Array:
     """U (3,3): turns the source's up axis to y.
 
     y is up wherever the rest pose or the mean posture says so, as BVH has it; another axis needs both.

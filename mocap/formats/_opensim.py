@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 
 from mocap.errors import FormatError
+from mocap.findings import Finding, assumption, doubt
 from mocap.formats import Options, _xml
 from mocap.sensors import PLACES
 
@@ -16,7 +17,7 @@ _BODIES = {
     "ulna": "forearm", "hand": "hand", "thorax": "sternum", "skull": "head",
 }  # fmt: skip
 MAX_MAPPING = 1 << 20
-TORSO = "the torso sensor is taken to sit on the sternum"
+TORSO = assumption("torso-on-sternum")
 
 
 def place(name: str) -> str:
@@ -73,9 +74,9 @@ def given(options: Options) -> dict[str, str]:
     return found
 
 
-def unknown(names: tuple[str, ...]) -> list[str]:
+def unknown(names: tuple[str, ...]) -> list[Finding]:
     """A warning for sensors whose names are no places of the table."""
     odd = [n for n in names if n not in PLACES]
     if not odd:
         return []
-    return [f"no place of the table: {', '.join(odd)}; name them with a mapping"]
+    return [doubt("unknown-places", names=", ".join(odd))]

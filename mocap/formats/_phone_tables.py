@@ -18,12 +18,12 @@ from mocap.errors import FormatError
 from mocap.formats import _delimited
 from mocap.orientation import Array
 
-Kind = Literal["force", "free", "gravity", "gyr", "mag", "quat"]
+Quantity = Literal["force", "free", "gravity", "gyr", "mag", "quat"]
 App = Literal["Sensor Logger", "SensorLog", "phyphox"]
 G = ori.GRAVITY
 
 # By app: kind, the columns in lower case, their factor to SI (None: told by the size of gravity).
-_WIDE: dict[App, tuple[tuple[Kind, tuple[str, ...], float | None], ...]] = {
+_WIDE: dict[App, tuple[tuple[Quantity, tuple[str, ...], float | None], ...]] = {
     "SensorLog": (
         ("force", tuple(f"accelerometeracceleration{a}(g)" for a in "xyz"), G),
         ("free", tuple(f"motionuseracceleration{a}(g)" for a in "xyz"), G),
@@ -47,7 +47,7 @@ _WIDE: dict[App, tuple[tuple[Kind, tuple[str, ...], float | None], ...]] = {
     ),
 }  # fmt: skip
 # Sensor Logger's files with columns x, y, z alone, by the words in their names.
-_BY_STEM: tuple[tuple[str, Kind, float | None], ...] = (
+_BY_STEM: tuple[tuple[str, Quantity, float | None], ...] = (
     ("gyro", "gyr", 1.0), ("gravity", "gravity", None), ("magneto", "mag", 1.0),
     ("totalacceleration", "force", None), ("accelerometeruncalibrated", "force", None),
     ("acceler", "free", None),
@@ -71,7 +71,7 @@ _MARKS: dict[App, tuple[bytes, ...]] = {
 class Stream:
     """One quantity: t (N,) s, values (N,k); to_si: its factor, None where gravity must tell."""
 
-    kind: Kind
+    kind: Quantity
     path: Path
     t: Array
     values: Array
@@ -120,8 +120,8 @@ def _time_column(app: App, cells: list[str]) -> tuple[int, float] | None:
 
 def _quantities(
     path: Path, app: App, names: list[str]
-) -> list[tuple[Kind, tuple[str, ...], float | None]]:
-    found: list[tuple[Kind, tuple[str, ...], float | None]] = []
+) -> list[tuple[Quantity, tuple[str, ...], float | None]]:
+    found: list[tuple[Quantity, tuple[str, ...], float | None]] = []
     for kind, columns, factor in _WIDE[app]:
         missing = [c for c in columns if c not in names]
         if not missing and kind not in [k for k, *_ in found]:

@@ -1,9 +1,9 @@
 """Units and axes of a recording, held against gravity, its own orientation and a reference.
 
-A contradiction raises FormatError naming file, sensor and field; a doubt is returned as a text for
-`Document.warnings`. The measures are `mocap.calibration.measures`'. What the shared diagnostics of a raw
+A contradiction raises FormatError naming file, sensor and field; a doubt is a finding of
+`Document.doubts`. The measures are `mocap.calibration.measures`'. What the shared diagnostics of a raw
 recording (`mocap.calibration.checks`) can name, such as reversed axes or a transposed orientation, is told
-in their words and left to `poser calibrate` to refuse; only what nothing explains is refused here.
+as they find it and left to `poser calibrate` to refuse; only what nothing explains is refused here.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from mocap.calibration.measures import (
     unmeasured,
     usual_force,
 )
-from mocap.calibration.words import sentence
 from mocap.errors import FormatError
+from mocap.findings import Finding, assumption, doubt
 from mocap.formats import Options
-from mocap.formats._checks import gap_report, half_report
+from mocap.formats._checks import gap_report, half_report, rotation_report
 from mocap.orientation import GRAVITY, Array
 from mocap.recording import RawRecording, Recording
 from mocap.seats import second_difference, sensor_positions
@@ -50,12 +50,12 @@ def factors(options: Options) -> tuple[float, float]:
     )
 
 
-def raw(path: Path, rec: RawRecording) -> list[str]:
+def raw(path: Path, rec: RawRecording) -> list[Finding]:
     """Warnings on a raw recording; raises FormatError where units or axes contradict gravity."""
-    doubts = gap_report(rec.valid, rec.sensors) + _absent(rec)
+    doubts = rotation_report(rec) + gap_report(rec.valid, rec.sensors) + _absent(rec)
     evidence = gather(rec)
     rec = evidence.raw
-    doubts += [sentence(f) for f in spikes.check(evidence)]
+    doubts += spikes.check(evidence)
     if rec.R_world_sensor is not None:
         has = np.asarray(np.isfinite(rec.R_world_sensor).all(axis=(-1, -2)), bool)
         doubts += half_report(rec.valid & ~has, rec.sensors, "orientation")
@@ -64,7 +64,7 @@ def raw(path: Path, rec: RawRecording) -> list[str]:
     return doubts + _up(path, rec)
 
 
-def upright(R: Array, acc: Array, documented: str) -> tuple[Array, str]:
+def upright(R: Array, acc: Array, documented: str) -> tuple[Array, Finding]:
     """R_world_sensor (T,S,3,3) of a file in our y-up world, and what was assumed.
 
     documented: "z-up" or "y-up", what the format says. Where the specific force acc (T,S,3) of all sensors
@@ -78,22 +78,20 @@ def upright(R: Array, acc: Array, documented: str) -> tuple[Array, str]:
     other = next(a for a in axes if a != documented)
     against = size > 0.5 * GRAVITY and mean[axes[other]] > SURELY_UP * size
     world = other if against else documented
-    said = f"the world of the file is {world}, ours y-up"
+    said = assumption("world", world=world)
     if against:
-        said = (
-            f"gravity is along {other[0]} in the file's world: read as {world}, against its format"
-        )
+        said = assumption("world-by-gravity", axis=other[0], world=world)
     return (R if world == "y-up" else ori.R_YUP_ZUP @ R), said
 
 
-def assumed(rec: RawRecording) -> tuple[str, ...]:
-    """What nothing in a raw recording can tell, for `Document.assumptions`."""
+def assumed(rec: RawRecording) -> tuple[Finding, ...]:
+    """What nothing in a raw recording can tell, for `Document.assumed`."""
     if _orientations_alone(rec):
-        return ("no acceleration in the file",)
+        return (assumption("no-acc-in-file"),)
     if rec.R_world_sensor is not None or not np.isfinite(rec.acc).any():
         return ()
     # With -acc, up and all movement are turned round together: gyr fits either.
-    return ("acc is specific force (up at rest), not gravity: only orientations could tell",)
+    return (assumption("acc-sign"),)
 
 
 def _orientations_alone(rec: RawRecording) -> bool:
@@ -101,7 +99,7 @@ def _orientations_alone(rec: RawRecording) -> bool:
     return rec.R_world_sensor is not None and not np.isfinite(rec.acc).any()
 
 
-def _absent(rec: RawRecording) -> list[str]:
+def _absent(rec: RawRecording) -> list[Finding]:
     """Sensors without any sample of acc or of gyr, one warning for either.
 
     Not of acc where the file has orientations alone: `assumed` says so.
@@ -113,13 +111,12 @@ def _absent(rec: RawRecording) -> list[str]:
                 continue
             lacking.setdefault(what, []).append(name)
     return [
-        f"no sample of {what} from "
-        + ("any sensor" if len(names) == len(rec.sensors) else ", ".join(names))
+        doubt("not-measured", what=what, names=names, all=len(names) == len(rec.sensors))
         for what, names in lacking.items()
     ]
 
 
-def _accelerometer(path: Path, rec: RawRecording) -> list[str]:
+def _accelerometer(path: Path, rec: RawRecording) -> list[Finding]:
     """Size of gravity in still windows; where there is none, in the slowest tenth of the time."""
     still = gravity_size(rec.acc, rec.rate_hz)
     slow = np.array([_slow(rec, s) for s in range(len(rec.sensors))])
@@ -141,9 +138,9 @@ def _accelerometer(path: Path, rec: RawRecording) -> list[str]:
                 path, f"{size:.3g} {when}, expected {GRAVITY:.2f} m/s^2{_guess(size)}", where
             )
         if abs(size / GRAVITY - 1) > 0.05 and when == "when still":
-            doubts.append(f"{where}: {size:.2f} m/s^2 {when}, expected {GRAVITY:.2f}")
+            doubts.append(doubt("acc-size", name, size=float(size)))
     if not (np.isfinite(still) | np.isfinite(slow)).any() and np.isfinite(rec.acc).any():
-        doubts.append("no sensor is still for half a second: the unit of acc is not checked")
+        doubts.append(doubt("acc-unchecked"))
     return doubts
 
 
@@ -196,7 +193,7 @@ def gyr_in_degrees(rec: RawRecording) -> bool:
     return max(unit_checks.fastest(rec, s) for s in each) > FASTEST
 
 
-def _gyroscope(path: Path, rec: RawRecording) -> list[str]:
+def _gyroscope(path: Path, rec: RawRecording) -> list[Finding]:
     """Unit of gyr: against the rate of the orientation, else against how gravity moves in acc."""
     for s, name in enumerate(rec.sensors):
         where = f"sensor {name}: gyr"
@@ -210,52 +207,54 @@ def _gyroscope(path: Path, rec: RawRecording) -> list[str]:
             raise FormatError(path, f"{found}: in rad already (--units rad/s)?", where)
     if rec.R_world_sensor is None:
         return []
-    return [sentence(f) for f in rates.check(gather(rec))]
+    return list(rates.check(gather(rec)))
 
 
-def _up(path: Path, rec: RawRecording) -> list[str]:
+def _up(path: Path, rec: RawRecording) -> list[Finding]:
     """Whether R_world_sensor turns the mean specific force upright, and if not, why."""
-    wrong: list[tuple[str, str, bool]] = []
+    wrong: list[Finding] = []
+    refused: dict[str | None, str] = {}
     for name, mean in zip(rec.sensors, unit_checks.mean_force(rec), strict=True):
         if not np.isfinite(mean).all():
             continue
         tilt = np.rad2deg(np.arccos(np.clip(mean[1] / max(np.linalg.norm(mean), 1e-9), -1, 1)))
-        found = f"turns the mean acceleration to ({mean[0]:.1f}, {mean[1]:.1f}, {mean[2]:.1f})"
         if tilt > TILTED_DEG:
-            wrong.append((name, f"{found}, expected (0, {GRAVITY:.1f}, 0): y up", True))
-        elif np.hypot(mean[0], mean[2]) > _swing(rec):
-            wrong.append((name, f"{found} m/s^2, {tilt:.0f} deg off the vertical", False))
+            found = f"({mean[0]:.1f}, {mean[1]:.1f}, {mean[2]:.1f})"
+            refused[name] = (
+                f"turns the mean acceleration to {found}, expected (0, {GRAVITY:.1f}, 0): y up"
+            )
+        elif np.hypot(mean[0], mean[2]) <= _swing(rec):
+            continue
+        wrong.append(doubt("not-upright", name, mean_m_s2=mean.tolist(), tilt_deg=float(tilt)))
     if not wrong:
         return []
-    named: dict[str | None, list[str]] = {}
+    named: dict[str | None, list[Finding]] = {}
     known = tuple(n for n in rec.sensors if n in PLACES)
     for f in check_sensors(rec.select(known)) if known else ():
         if f.severity == "error":
-            named.setdefault(f.sensor, []).append(sentence(f))
-    doubts: list[str] = []
-    for name, found, refused in wrong:
-        if name in named:
-            doubts += named[name]
-        elif refused:
-            raise FormatError(path, found, f"sensor {name}: orientation")
-        else:
-            doubts.append(f"sensor {name}: orientation {found}")
+            named.setdefault(f.sensor, []).append(f)
+    doubts: list[Finding] = []
+    for one in wrong:
+        if one.sensor not in named and one.sensor in refused:
+            raise FormatError(path, refused[one.sensor], f"sensor {one.sensor}: orientation")
+        doubts += named.get(one.sensor, [one])
     return doubts
 
 
-def missing(rec: Recording) -> list[str]:
+def missing(rec: Recording) -> list[Finding]:
     """The warnings about samples that are missing, in whole or in part."""
     # A second difference has no value at either end, and some sensors measure orientation alone.
     half = rec.valid & ~rec.acc_valid & rec.acc_valid.any(axis=0)
     half[[0, -1]] = False
     return [
+        *rotation_report(rec),
         *gap_report(rec.valid, rec.sensors),
         *half_report(rec.valid & ~rec.ori_valid, rec.sensors, "orientation"),
         *half_report(half, rec.sensors, "acceleration"),
     ]
 
 
-def calibrated(path: Path, rec: Recording) -> list[str]:
+def calibrated(path: Path, rec: Recording) -> list[Finding]:
     """Warnings on a calibrated recording; raises FormatError where gravity is in or acc is in g."""
     doubts = missing(rec)
     acc = {s: rec.acc_world[rec.acc_valid[:, s], s] for s in range(len(rec.sensors))}
@@ -272,7 +271,7 @@ def calibrated(path: Path, rec: Recording) -> list[str]:
         if np.linalg.norm(mean - [0, GRAVITY, 0]) < 2.5 or size > 8:
             raise FormatError(path, f"{found}, expected about 0: {_why(a, mean)}", where)
         if size > _swing(rec):
-            doubts.append(f"{where}: {found}, expected about 0 without gravity")
+            doubts.append(doubt("acc-mean", rec.sensors[s], mean_m_s2=mean.tolist()))
     return doubts + against_reference(path, rec)
 
 
@@ -288,7 +287,7 @@ def _why(a: Array, mean: Array) -> str:
     return f"neither gravity nor movement, samples of up to {sizes.max():.3g} m/s^2"
 
 
-def against_reference(path: Path, rec: Recording) -> list[str]:
+def against_reference(path: Path, rec: Recording) -> list[Finding]:
     """Orientation and acceleration against a reference motion, where there is one."""
     if rec.reference is None:
         return []
@@ -300,7 +299,7 @@ def against_reference(path: Path, rec: Recording) -> list[str]:
             off = ori.angle_between(rec.R_world_bone[use[:, s], s], R_ref[use[:, s], s])
             deg = float(np.rad2deg(np.median(off)))
             if deg > 30:
-                doubts.append(f"sensor {name}: {deg:.0f} deg (median) from the reference's bone")
+                doubts.append(doubt("off-reference", name, off_deg=deg))
     ratio = _acc_ratio(rec)
     if ratio is not None and ratio < 0:
         raise FormatError(

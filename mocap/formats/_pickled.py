@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from mocap.errors import FormatError
+from mocap.findings import Finding, doubt
 from mocap.formats import Options, _unpickle
 from mocap.motion import Motion
 from mocap.orientation import Array
@@ -72,7 +73,7 @@ def body(options: Options) -> Skeleton:
 
 def reference(
     path: Path, rate_hz: float, poses: Array, skeleton: Skeleton, start_s: float = 0.0
-) -> tuple[Motion | None, list[str]]:
+) -> tuple[Motion | None, list[Finding]]:
     """Motion of SMPL axis-angle (T,72) rad in our world, the pelvis staying at its rest place.
 
     start_s: time of the first pose, s. None, with a doubt, where some pose is not finite: a reference
@@ -80,7 +81,7 @@ def reference(
     """
     bad = ~np.isfinite(poses).all(axis=1)
     if bad.any():
-        return None, [f"{int(bad.sum())} of {len(poses)} poses are not finite: no reference"]
+        return None, [doubt("no-reference", poses=int(bad.sum()), of=len(poses))]
     if np.abs(poses).max() > LARGEST_ANGLE:
         t, j = np.unravel_index(int(np.abs(poses).argmax()), poses.shape)
         raise FormatError(

@@ -27,10 +27,11 @@ import numpy as np
 
 from mocap import orientation as ori
 from mocap.errors import FormatError
+from mocap.findings import Finding, assumption, doubt
 from mocap.formats import _neutral, _upright
 from mocap.formats._frames import STRAIGHT, T_POSE_FRAMES, Neutral, minimal_rotation, unit
 from mocap.formats._neutral import straightening
-from mocap.formats._source import INDEX, Roles, Source, assign
+from mocap.formats._source import INDEX, ForeignMotion, Roles, assign
 from mocap.motion import Motion
 from mocap.orientation import Array
 from mocap.skeleton import JOINTS, PARENTS, SOLE_BELOW_TOE, Skeleton
@@ -44,15 +45,18 @@ JUMP_DEG_S = 1000.0
 
 @dataclass(frozen=True, eq=False)
 class Retargeted:
-    """The motion, and what was assumed or is doubtful, in sentences."""
+    """The motion, and what was assumed or is doubtful."""
 
     motion: Motion
-    assumptions: tuple[str, ...]
-    warnings: tuple[str, ...]
+    assumed: tuple[Finding, ...]
+    doubts: tuple[Finding, ...]
 
 
 def retarget(
-    source: Source, skeleton: Skeleton, scale: float | None = None, up: _upright.Up | None = None
+    source: ForeignMotion,
+    skeleton: Skeleton,
+    scale: float | None = None,
+    up: _upright.Up | None = None,
 ) -> Retargeted:
     """The source's motion on `skeleton`.
 
@@ -62,7 +66,7 @@ def retarget(
     """
     roles = assign(source)
     neutral = _neutral.find(source, roles, up)
-    said, doubts = list(neutral.assumptions), list(neutral.warnings)
+    said, doubts = list(neutral.assumed), list(neutral.doubts)
     unit_said, unit_doubt = _unit(source, roles, scale)
     said.append(unit_said)
     doubts += unit_doubt
@@ -70,19 +74,17 @@ def retarget(
     if len(source) > drop + 1 and _starts_with_t_pose(source, roles, neutral.U):
         # The T-pose was put before the take, whose clock starts with the frame after it.
         source = replace(source.slice(drop), start_s=source.start_s + (drop - 1) / source.rate_hz)
-        said.append(f"the file starts with a T-pose: its first {drop} frames are dropped")
+        said.append(assumption("t-pose-dropped", frames=drop))
     R = _rotations(source, roles, neutral, skeleton)
     p = _root_path(source, roles, neutral.U, R, skeleton)
     doubts += _moving_bones(source, roles) + _backward_knees(R, skeleton)
-    said.append(
-        "the path is scaled by the ratio of leg lengths, and the lowest foot stands on the floor y = 0"
-    )
+    said.append(assumption("path-scaled"))
     motion = Motion(source.rate_hz, skeleton.local_rotations(R), p, skeleton, source.start_s)
     doubts += _beyond_anatomy(motion.R_parent_joint) + _upright.doubts(motion, up)
     return Retargeted(motion, tuple(said), tuple(doubts))
 
 
-def _rotations(source: Source, roles: Roles, neutral: Neutral, skeleton: Skeleton) -> Array:
+def _rotations(source: ForeignMotion, roles: Roles, neutral: Neutral, skeleton: Skeleton) -> Array:
     """R_world_joint (T,24,3,3)."""
     G, p = source.forward
     R = np.empty((len(source), 24, 3, 3))
@@ -124,7 +126,9 @@ def _between(R: list[Array], at: float) -> Array:
     return R[k] @ ori.exp(s * ori.log(np.swapaxes(R[k], -1, -2) @ R[k + 1]))
 
 
-def _root_path(source: Source, roles: Roles, U: Array, R: Array, skeleton: Skeleton) -> Array:
+def _root_path(
+    source: ForeignMotion, roles: Roles, U: Array, R: Array, skeleton: Skeleton
+) -> Array:
     """p_world_root (T,3) m: the hips' middle follows the source's, scaled; lowest foot on the floor."""
     hips = [INDEX["left_hip"], INDEX["right_hip"]]
     middle = source.forward[1][:, [roles.joint[h] for h in hips]].mean(axis=1) @ U.T
@@ -147,7 +151,9 @@ def _leg(rest: Array, joint: dict[int, int]) -> float:
     return total
 
 
-def _unit(source: Source, roles: Roles, scale: float | None) -> tuple[str, list[str]]:
+def _unit(
+    source: ForeignMotion, roles: Roles, scale: float | None
+) -> tuple[Finding, list[Finding]]:
     """What is assumed of the file's unit, and doubts. The unit cancels in the scaled path."""
     leg = _leg(source.rest, roles.joint)
     body = Skeleton.default()
@@ -159,17 +165,17 @@ def _unit(source: Source, roles: Roles, scale: float | None) -> tuple[str, list[
                 f"at {scale:g} m per unit the legs are {leg * scale:.3g} m long, expected "
                 f"{LEG_RANGE[0]} to {LEG_RANGE[1]} m",
             )
-        return f"length unit {scale:g} m as told (stature about {leg * scale * per_leg:.2f} m)", []
+        return assumption("unit-told", unit_m=scale, stature_m=leg * scale * per_leg), []
     name = min(UNITS, key=lambda u: abs(np.log(leg * UNITS[u] * per_leg / body.stature)))
     stature = leg * UNITS[name] * per_leg
     if not LEG_RANGE[0] <= leg * UNITS[name] <= LEG_RANGE[1]:
-        said = "length unit unknown: the body is taken to be as tall as ours"
-        return said, [f"legs of {leg:.4g} units fit no known length unit; use --scale"]
-    doubt = [] if 1.3 <= stature <= 2.2 else [f"stature {stature:.2f} m if the unit is {name}"]
-    return f"length unit {name}, guessed from the legs (stature about {stature:.2f} m)", doubt
+        return assumption("unit-unknown"), [doubt("unit-none-fits", leg=leg)]
+    usual = 1.3 <= stature <= 2.2
+    odd = [] if usual else [doubt("stature", stature_m=stature, unit=name)]
+    return assumption("unit-guessed", unit=name, stature_m=stature), odd
 
 
-def _starts_with_t_pose(source: Source, roles: Roles, U: Array) -> bool:
+def _starts_with_t_pose(source: ForeignMotion, roles: Roles, U: Array) -> bool:
     """Whether frame 0 is a T-pose that the motion leaves in one jump.
 
     A person cannot turn a limb from rest at `JUMP_DEG_S`, so such a frame was put in by a tool. Files
@@ -187,16 +193,14 @@ def _starts_with_t_pose(source: Source, roles: Roles, U: Array) -> bool:
     return _neutral.is_t_pose(p[0] @ U.T, roles, tolerance_deg=30.0)
 
 
-def _moving_bones(source: Source, roles: Roles) -> list[str]:
+def _moving_bones(source: ForeignMotion, roles: Roles) -> list[Finding]:
     """Doubts about limb joints whose position channels change the bone's length."""
     leg = _leg(source.rest, roles.joint)
     inside = {i for j, i in roles.joint.items() if j}
     for j, t in source.translations.items():
-        if j in inside and source.parents[j] >= 0 and np.ptp(t, axis=0).max() > 0.01 * leg:
-            return [
-                f"joint {source.names[j]} moves in its parent by up to {np.ptp(t, axis=0).max():.3g} "
-                f"units; the mean is used"
-            ]
+        moved = float(np.ptp(t, axis=0).max())
+        if j in inside and source.parents[j] >= 0 and moved > 0.01 * leg:
+            return [doubt("joint-moves", joint=source.names[j], units=moved)]
     return []
 
 
@@ -205,22 +209,29 @@ _STIFF = {"neck": 120.0, "head": 120.0, "left_ankle": 120.0, "right_ankle": 120.
           "left_wrist": 150.0, "right_wrist": 150.0}  # fmt: skip
 
 
-def _beyond_anatomy(R_parent_joint: Array) -> list[str]:
+def _beyond_anatomy(R_parent_joint: Array) -> list[Finding]:
     """A doubt for each joint that turns beyond `_STIFF`: a fault of the source's own angles."""
     doubts = []
     for name, limit in _STIFF.items():
         cosine = (np.trace(R_parent_joint[:, INDEX[name]], axis1=-2, axis2=-1) - 1) / 2
         frames = np.flatnonzero(cosine < np.cos(np.radians(limit)))
         if len(frames):
-            most = np.degrees(np.arccos(max(float(cosine.min()), -1.0)))
+            most = float(np.degrees(np.arccos(max(float(cosine.min()), -1.0))))
+            first, last = int(frames[0]), int(frames[-1])
             doubts.append(
-                f"{name} turns by up to {most:.0f} deg, more than a body can, in {len(frames)} "
-                f"frames between {frames[0]} and {frames[-1]}"
+                doubt(
+                    "beyond-anatomy",
+                    joint=name,
+                    most_deg=most,
+                    frames=len(frames),
+                    first=first,
+                    last=last,
+                )
             )
     return doubts
 
 
-def _backward_knees(R: Array, skeleton: Skeleton) -> list[str]:
+def _backward_knees(R: Array, skeleton: Skeleton) -> list[Finding]:
     """A doubt where the knees bend backward most of the time: the sides may be exchanged."""
     for s in ("left", "right"):
         hip, knee, ankle = (INDEX[f"{s}_{j}"] for j in ("hip", "knee", "ankle"))
@@ -228,5 +239,5 @@ def _backward_knees(R: Array, skeleton: Skeleton) -> list[str]:
         shank = np.swapaxes(R[:, hip], -1, -2) @ R[:, knee] @ unit(skeleton.offsets[ankle])
         flexion = np.cross(thigh, shank)[:, 0]
         if np.mean(flexion < -np.sin(np.radians(10))) > 0.5:
-            return [f"the {s} knee bends backward in most frames: left and right may be exchanged"]
+            return [doubt("knee-backward", side=s)]
     return []

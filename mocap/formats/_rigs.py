@@ -15,7 +15,7 @@ import numpy as np
 
 from mocap import orientation as ori
 from mocap.formats._frames import T_POSE_FRAMES
-from mocap.formats._source import INDEX, Source
+from mocap.formats._source import INDEX, ForeignMotion
 from mocap.orientation import Array
 
 _NEAR_DEG = 1.0
@@ -26,20 +26,21 @@ _NEAR_LENGTH = 0.01
 class Rig:
     """One rig.
 
-    bones: where joints lie in their parents at zero rotation, by name; lengths count only where
-    `same_lengths`. F: rotation vectors (3,) deg of neutral frames, by our joint's name. own_limbs: whether
-    limbs point as the file's bones do; else as the neutral frames say (arms along x, legs along -y).
+    code: of the finding that says so. bones: where joints lie in their parents at zero rotation, by name;
+    lengths count only where `same_lengths`. F: rotation vectors (3,) deg of neutral frames, by our joint's
+    name. own_limbs: whether limbs point as the file's bones do; else as the neutral frames say (arms along
+    x, legs along -y).
     t_pose_frames: how many frames a T-pose put before the motion spoils.
     """
 
-    said: str
+    code: str
     bones: Mapping[str, tuple[float, float, float]]
     F: Mapping[str, tuple[float, float, float]]
     same_lengths: bool = True
     own_limbs: bool = True
     t_pose_frames: int = T_POSE_FRAMES
 
-    def fits(self, source: Source) -> bool:
+    def fits(self, source: ForeignMotion) -> bool:
         """Whether the source is this rig, whatever its unit of length."""
         if not set(self.bones) <= set(source.names):
             return False
@@ -61,21 +62,18 @@ class Rig:
         return {INDEX[n]: ori.exp(np.radians(v)) for n, v in self.F.items()}
 
 
-def known(source: Source) -> Rig | None:
+def known(source: ForeignMotion) -> Rig | None:
     """The rig of a source, if it is one of `RIGS`."""
     return next((rig for rig in RIGS if rig.fits(source)), None)
 
 
 # CMU's legs are spread by 20 deg at zero angles. Neck and head: in the T-pose frame they turn by -16 and +16
 # deg about x, so at zero angles the neck bends back and the face looks up.
-_CMU_SAID = (
-    "CMU's skeleton: neck and head are upright as in the T-pose that MotionBuilder's conversion has"
-)
 _CMU_F = {"neck": (16.0, 0.0, 0.0), "head": (-16.0, 0.0, 0.0)}
 _SIN, _COS = 0.34202, 0.939693
 RIGS = (
     Rig(
-        _CMU_SAID,
+        "rig-cmu",
         {
             "ltibia": (_SIN, -_COS, 0.0), "rtibia": (-_SIN, -_COS, 0.0),
             "lradius": (1.0, 0.0, 0.0), "rradius": (-1.0, 0.0, 0.0),
@@ -84,7 +82,7 @@ RIGS = (
         same_lengths=False,
     ),
     Rig(
-        _CMU_SAID,
+        "rig-cmu",
         {
             "LeftLeg": (_SIN, -_COS, 0.0), "RightLeg": (-_SIN, -_COS, 0.0),
             "LeftForeArm": (1.0, 0.0, 0.0), "RightForeArm": (-1.0, 0.0, 0.0),
@@ -93,8 +91,7 @@ RIGS = (
         same_lengths=False,
     ),
     Rig(
-        "the Daz-friendly conversion of CMU's trials: limbs, neck and head are the original AMC's, not the "
-        "figure's own bones",
+        "rig-daz",
         {
             "lShin": (0.0, -36.8199, 0.73152), "lFoot": (-0.73152, -45.1104, -5.12064),
             "lForeArm": (28.1742, -1.7115, 0.48768), "lHand": (22.5879, 0.773209, 7.07136),
@@ -114,7 +111,7 @@ RIGS = (
         t_pose_frames=8,
     ),
     Rig(
-        "Bandai-Namco's rig: neck, head, collars and feet as upright people have them on average",
+        "rig-bandai-namco",
         {
             "LowerLeg_L": (39.0811, 0.0, 0.0), "Foot_L": (40.9854, 0.0, 0.0),
             "LowerArm_L": (24.3286, 0.0, 0.0), "Hand_L": (22.2916, 0.0, 0.0),

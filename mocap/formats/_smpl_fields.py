@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from mocap.errors import FormatError, ShapeError
+from mocap.findings import Finding, assumption
 from mocap.formats import Options
 from mocap.formats._npz import Fields
 from mocap.formats._pickled import LARGEST_ANGLE
@@ -45,7 +46,7 @@ def layout(names: frozenset[str] | set[str]) -> tuple[str, ...] | None:
     return None
 
 
-def poses(fields: Fields) -> tuple[Array, list[str]]:
+def poses(fields: Fields) -> tuple[Array, list[Finding]]:
     """Axis-angle (T,72) rad as it stands in the file, and what was assumed."""
     found = layout(set(fields.arrays)) or ("poses",)
     parts = [_flat(fields, name) for name in found]
@@ -59,10 +60,11 @@ def poses(fields: Fields) -> tuple[Array, list[str]]:
         shape = fields.get(found[0]).shape if len(found) == 1 else full.shape
         where = f"field {found[0]!r}" if len(found) == 1 else f"fields {', '.join(found)}"
         raise FormatError(fields.path, f"has shape {shape}, expected {known}", where)
-    assumed = [] if found == ("poses",) else [f"poses are the fields {', '.join(found)}"]
+    joined = found != ("poses",)
+    assumed = [assumption("fields-joined", fields=", ".join(found))] if joined else []
     hands = HANDS[full.shape[1]]
     if hands is None:
-        assumed.append("no hands in the file: they are straight")
+        assumed.append(assumption("no-hands"))
         full = np.concatenate([full, np.zeros((len(full), 6))], axis=1)
         hands = (66, 69)
     left, right = hands
@@ -89,7 +91,7 @@ def _flat(fields: Fields, name: str) -> Array:
     return values
 
 
-def path_of(fields: Fields, frames: int) -> tuple[Array, list[str]]:
+def path_of(fields: Fields, frames: int) -> tuple[Array, list[Finding]]:
     """trans (T,3) m as it stands in the file, and what was assumed."""
     name = next((n for n in PATHS if n in fields), PATHS[0])
     raw = fields.get(name)
@@ -108,7 +110,7 @@ def path_of(fields: Fields, frames: int) -> tuple[Array, list[str]]:
                 fields.path, f"is {scale:g}, expected above zero", f"field {_SCALE!r}"
             )
         trans = trans / scale
-        assumed.append(f"{name} is divided by {_SCALE}, {scale:g}, to metres")
+        assumed.append(assumption("trans-scaled", field=name, by=_SCALE, scale=scale))
     _bounded(fields, trans, FARTHEST, "metres", name)
     return trans, assumed
 
@@ -137,7 +139,7 @@ def rate(fields: Fields, options: Options) -> float:
     )
 
 
-def betas(fields: Fields) -> tuple[Array, list[str]]:
+def betas(fields: Fields) -> tuple[Array, list[Finding]]:
     """The body's shape (N,), and what was assumed: of one for each frame the mean counts."""
     if "betas" not in fields:
         return np.zeros(10), []
@@ -146,5 +148,5 @@ def betas(fields: Fields) -> tuple[Array, list[str]]:
     if not found.size or found.shape[1] > 400 or not np.isfinite(found).all():
         raise FormatError(fields.path, "is no shape of finite numbers", "field 'betas'")
     same = bool((np.ptp(found, axis=0) < 1e-6).all())
-    said = [] if same else ["betas change from frame to frame: their mean is the body's shape"]
+    said = [] if same else [assumption("betas-change")]
     return found.mean(axis=0), said

@@ -24,7 +24,7 @@ TARGET = {INDEX[f"{s}_{a}"]: INDEX[f"{s}_{b}"] for s in ("left", "right") for a,
 
 
 @dataclass(frozen=True, eq=False)
-class Source:
+class ForeignMotion:
     """A foreign motion: K joints, parents first, lengths in the file's unit.
 
     names: "" for what cannot be matched (ends of chains). offsets (K,3): each joint in its parent's
@@ -46,13 +46,13 @@ class Source:
     def __len__(self) -> int:
         return len(self.R_local)
 
-    def slice(self, start: int) -> Source:
+    def slice(self, start: int) -> ForeignMotion:
         """Without the frames before `start`."""
         moved = {j: t[start:] for j, t in self.translations.items()}
         later = self.start_s + start / self.rate_hz
         return replace(self, R_local=self.R_local[start:], translations=moved, start_s=later)
 
-    def only(self, joints: list[int]) -> Source:
+    def only(self, joints: list[int]) -> ForeignMotion:
         """With those joints alone; the parent of each must be among them."""
         new = {j: k for k, j in enumerate(joints)}
         return replace(
@@ -131,13 +131,13 @@ class Roles:
     target: dict[int, int]
 
 
-def needed(source: Source, roles: Roles) -> list[int]:
+def needed(source: ForeignMotion, roles: Roles) -> list[int]:
     """The joints that the roles' kinematics depend on (not fingers, eyes or props)."""
     ends = {*roles.joint.values(), *roles.target.values()}
     return sorted({i for end in ends for i in source.path_to(end)})
 
 
-def assign(source: Source) -> Roles:
+def assign(source: ForeignMotion) -> Roles:
     """The roles of a source's joints, limbs by name, pelvis and spine by structure.
 
     Raises FormatError naming the limbs that no joint name fits, or that are not on one chain.
@@ -167,7 +167,7 @@ def assign(source: Source) -> Roles:
     return Roles(joint, spine, _targets(source, joint))
 
 
-def _check_chains(source: Source, joint: dict[int, int]) -> None:
+def _check_chains(source: ForeignMotion, joint: dict[int, int]) -> None:
     for a, b in TARGET.items():
         if a not in joint or b not in joint or a in source.path_to(joint[b])[:-1]:
             continue
@@ -189,7 +189,7 @@ def _last_common(paths: list[list[int]]) -> int:
     return last
 
 
-def _targets(source: Source, joint: dict[int, int]) -> dict[int, int]:
+def _targets(source: ForeignMotion, joint: dict[int, int]) -> dict[int, int]:
     hip, knee = joint[INDEX["left_hip"]], joint[INDEX["left_knee"]]
     length = float(np.linalg.norm(source.rest[knee] - source.rest[hip]))
     if not length > 0:
@@ -220,7 +220,7 @@ def _targets(source: Source, joint: dict[int, int]) -> dict[int, int]:
     return target
 
 
-def _name_above(source: Source, joint: int) -> str:
+def _name_above(source: ForeignMotion, joint: int) -> str:
     """The joint's name in lower case, or of the nearest named joint above an end."""
     while not source.names[joint]:
         joint = source.parents[joint]

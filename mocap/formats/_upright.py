@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from mocap import orientation as ori
+from mocap.findings import Finding, doubt
 from mocap.motion import Motion
 from mocap.orientation import Array
 from mocap.skeleton import JOINTS
@@ -24,14 +25,11 @@ def world(up: Up) -> Array:
     return np.eye(3) if up == "y" else ori.R_YUP_ZUP
 
 
-def doubts(motion: Motion, told: Up | None) -> list[str]:
-    """A sentence where the trunk is never upright, and how to mend it unless the axis was told."""
+def doubts(motion: Motion, told: Up | None) -> list[Finding]:
+    """A doubt where the trunk is never upright. told: the axis that the user said is up."""
     trunk = motion.p_world_joint[:, JOINTS.index("neck")] - motion.p_world_root
     up = trunk[:, 1] / np.maximum(np.linalg.norm(trunk, axis=1), 1e-300)
     if up.max() >= _LEAN:
         return []
-    most = np.degrees(np.arccos(np.clip(up.max(), -1.0, 1.0)))
-    said = f"the trunk is never upright, it leans by {most:.0f} deg or more"
-    if told is not None:
-        return [f"{said} with {told} up, as told"]
-    return [f"{said}: another axis of the file may point up; --up y or --up z says which"]
+    least = float(np.degrees(np.arccos(np.clip(up.max(), -1.0, 1.0))))
+    return [doubt("never-upright", lean_deg=least, told=told)]

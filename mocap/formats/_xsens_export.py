@@ -16,6 +16,7 @@ import numpy as np
 
 from mocap import orientation as ori
 from mocap.errors import FormatError
+from mocap.findings import Finding, assumption
 from mocap.formats import _checks, _delimited, _text
 from mocap.orientation import Array
 
@@ -44,7 +45,7 @@ SHORTEST_US = (
 
 
 @dataclass(frozen=True, eq=False)
-class Export:
+class SensorExport:
     """One file. device: its tag, or "". rate_hz: stated, or None. dot: whether a DOT's.
 
     packets (N,), seconds (N,) on the device's clock: None where the file lacks them. columns: acc, free,
@@ -62,18 +63,17 @@ class Export:
     def __len__(self) -> int:
         return len(next(iter(self.columns.values())))
 
-    def force(self, R: Array | None) -> tuple[Array | None, str]:
+    def force(self, R: Array | None) -> tuple[Array | None, Finding | None]:
         """Specific force (N,3) m/s^2 in the sensor's axes or None, and what was done to get it.
 
         From the free acceleration f in the world: R^T (f + g e_z). R (N,3,3): `orientation`.
         """
         if "acc" in self.columns:
-            return self.columns["acc"], ""
+            return self.columns["acc"], None
         if "free" not in self.columns or R is None:
-            return None, ""
+            return None, None
         force = self.columns["free"] + np.array([0, 0, ori.GRAVITY])
-        said = "FreeAcc holds no gravity: it is put back by the orientation"
-        return np.einsum("tji,tj->ti", R, force), said
+        return np.einsum("tji,tj->ti", R, force), assumption("free-acc-put-back")
 
     def orientation(self, name: str) -> Array | None:
         """R (N,3,3), sensor to a z-up world, or None. name: the sensor's, for errors."""
@@ -108,7 +108,7 @@ def _plain(cells: list[str] | tuple[str, ...]) -> list[str]:
     return [c.replace(" ", "").lower() for c in cells]
 
 
-def read(path: Path) -> Export:
+def read(path: Path) -> SensorExport:
     """The export in a file. Raises FormatError naming the column or line that is missing or no number."""
     table = _delimited.open_table(path, known, "PacketCounter, Acc_X or Quat_q0")
     names = _plain(table.header)
@@ -132,7 +132,7 @@ def read(path: Path) -> Export:
     packets, time = columns.pop("packet", None), columns.pop("time", None)
     seconds = None if time is None else _seconds(time[:, 0], dot)
     counter = None if packets is None else packets[:, 0]
-    return Export(path, tag, rate, dot, counter, seconds, columns)
+    return SensorExport(path, tag, rate, dot, counter, seconds, columns)
 
 
 def _groups(

@@ -19,6 +19,7 @@ import numpy as np
 
 from mocap import orientation as ori
 from mocap.errors import FormatError, PoserError, ShapeError
+from mocap.findings import Finding, assumption, doubt
 from mocap.formats import (
     Content,
     Document,
@@ -74,7 +75,7 @@ def read(path: Path, options: Options) -> Document:
     return Document("amass", motion, tuple(said), tuple(_doubts(motion, options)))
 
 
-def _body(fields: _npz.Fields, options: Options) -> tuple[Skeleton, list[str]]:
+def _body(fields: _npz.Fields, options: Options) -> tuple[Skeleton, list[Finding]]:
     betas, said = _smpl_fields.betas(fields)
     if options.smpl is not None:
         return Skeleton.from_smpl_file(options.smpl, betas), said
@@ -92,16 +93,16 @@ def _body(fields: _npz.Fields, options: Options) -> tuple[Skeleton, list[str]]:
         raise FormatError(fields.path, str(e)) from e
     if not betas.any() or "offsets" in fields or "height" in fields:
         return skeleton, said
-    return skeleton, [*said, "the file's betas need an SMPL model; the neutral mean shape is used"]
+    return skeleton, [*said, assumption("betas-unused")]
 
 
-def _doubts(motion: Motion, options: Options) -> list[str]:
+def _doubts(motion: Motion, options: Options) -> list[Finding]:
     """A body that never rises tells of another axis up, one that flies of another unit."""
     doubts = []
     step = np.linalg.norm(np.diff(motion.p_world_root, axis=0), axis=1)
     speed = float(np.median(step)) * motion.rate_hz if len(step) else 0.0
     if speed > FASTEST:
-        doubts.append(f"the pelvis moves at {speed:.0f} m/s (median): trans may not be in metres")
+        doubts.append(doubt("pelvis-fast", speed_m_s=speed))
     return doubts + _upright.doubts(motion, options.up)
 
 

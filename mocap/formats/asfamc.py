@@ -15,11 +15,12 @@ from pathlib import Path
 import numpy as np
 
 from mocap.errors import FormatError
+from mocap.findings import Finding, assumption, doubt
 from mocap.formats import Document, Format, Options, _checks
 from mocap.formats._asf_text import ROTATIONS, AmcFile, AsfFile, Bone, parse_amc, parse_asf
 from mocap.formats._bvh_text import euler
 from mocap.formats._retarget import retarget
-from mocap.formats._source import Source, assign, needed
+from mocap.formats._source import ForeignMotion, assign, needed
 from mocap.motion import check_rate
 from mocap.orientation import Array
 from mocap.skeleton import Skeleton
@@ -51,16 +52,16 @@ def read(path: Path, options: Options) -> Document:
     if options.smpl is not None:
         body = Skeleton.from_smpl_file(options.smpl)
     done = retarget(source, body, options.scale, options.up)
-    said = [f"the skeleton is {asf_path.name}"]
+    said = [assumption("skeleton-file", file=asf_path.name)]
     if amc.first > 1:
-        said.append(f"the file begins with frame {amc.first} of its take: the time starts there")
+        said.append(assumption("late-start", frame=amc.first))
     if options.rate_hz is None:
-        said.append(f"{RATE_HZ:g} Hz, as CMU records: AMC files name no rate")
+        said.append(assumption("rate-of-cmu", rate_hz=RATE_HZ))
     return Document(
         "asfamc",
         done.motion,
-        (*said, *done.assumptions),
-        (*_doubts(asf, amc.values), *done.warnings),
+        (*said, *done.assumed),
+        (*_doubts(asf, amc.values), *done.doubts),
     )
 
 
@@ -78,7 +79,7 @@ def find_asf(path: Path) -> Path:
     raise FormatError(path, f"needs its skeleton {prefix}.asf in the same folder, found {found}")
 
 
-def _source(path: Path, asf: AsfFile, amc: AmcFile, rate: float, options: Options) -> Source:
+def _source(path: Path, asf: AsfFile, amc: AmcFile, rate: float, options: Options) -> ForeignMotion:
     """The skeleton as joints: each sits where its bone starts; a bone without children has an end."""
     values = amc.values
     T = len(next(iter(values.values())))
@@ -99,7 +100,7 @@ def _source(path: Path, asf: AsfFile, amc: AmcFile, rate: float, options: Option
     given = options.mapping if isinstance(options.mapping, dict) else {}
     if {"lhand", "lwrist", "lradius"} <= set(names) and not given:
         given = CMU_HANDS
-    whole = Source(
+    whole = ForeignMotion(
         path,
         rate,
         tuple(names),
@@ -136,16 +137,14 @@ def _path(root: Bone, values: Array | None, T: int) -> Array:
     return p
 
 
-def _doubts(asf: AsfFile, values: dict[str, Array]) -> list[str]:
+def _doubts(asf: AsfFile, values: dict[str, Array]) -> list[Finding]:
     still = [b.name for b in asf.bones if b.dof and b.name not in values]
     doubts = []
     if still:
-        doubts.append(f"bones without angles in the file stand still: {', '.join(still)[:200]}")
+        doubts.append(doubt("bones-still", bones=still))
     stretched = [b.name for b in asf.bones[1:] if set(b.dof) - set(ROTATIONS)]
     if stretched:
-        doubts.append(
-            f"bones that change their length are read as rigid: {', '.join(stretched)[:200]}"
-        )
+        doubts.append(doubt("bones-rigid", bones=stretched))
     return doubts
 
 

@@ -12,12 +12,13 @@ from pathlib import Path
 import numpy as np
 
 from mocap.errors import FormatError, ShapeError
+from mocap.findings import assumption
 from mocap.formats import Content, Document, Format, Options, _bvh_profiles, _joint_names
 from mocap.formats._bvh_profiles import PROFILES, RESTS, Profile, Rest
 from mocap.formats._bvh_text import BvhFile, parse
 from mocap.formats._files import write_aside
 from mocap.formats._retarget import retarget
-from mocap.formats._source import Source, assign, needed
+from mocap.formats._source import ForeignMotion, assign, needed
 from mocap.motion import Motion, check_rate
 from mocap.orientation import Array
 from mocap.skeleton import JOINTS, PARENTS, REST, STATURE_RANGE, Skeleton
@@ -54,11 +55,12 @@ def read(path: Path, options: Options) -> Document:
     own = _own_rest(file)
     if own is not None:
         motion = _read_own(path, file, rate, own)
-        return Document("bvh", motion, file.assumptions, file.warnings)
+        return Document("bvh", motion, file.assumed, file.doubts)
     source = _source(path, file, rate, options)
     done = retarget(source, _body(options), options.scale, options.up)
-    assumed = (*file.assumptions, *done.assumptions, _joint_names.said(source.given))
-    return Document("bvh", done.motion, assumed, (*file.warnings, *done.warnings))
+    named = assumption("joint-names", joints=dict(source.given))
+    assumed = (*file.assumed, *done.assumed, named)
+    return Document("bvh", done.motion, assumed, (*file.doubts, *done.doubts))
 
 
 def _body(options: Options) -> Skeleton:
@@ -67,7 +69,7 @@ def _body(options: Options) -> Skeleton:
     return Skeleton.from_smpl_file(options.smpl)
 
 
-def _source(path: Path, file: BvhFile, rate: float, options: Options) -> Source:
+def _source(path: Path, file: BvhFile, rate: float, options: Options) -> ForeignMotion:
     """The joints that matter, with their rotations computed."""
     given = options.mapping if isinstance(options.mapping, dict) else {}
     if not given and set(MOTIONBUILDER_HANDS) <= set(file.names):
@@ -75,7 +77,7 @@ def _source(path: Path, file: BvhFile, rate: float, options: Options) -> Source:
     moving = [
         i for i, j in enumerate(file.joints) if j.parent < 0 or set(j.channels) & set(_POSITIONS)
     ]
-    still = Source(
+    still = ForeignMotion(
         path,
         rate,
         file.names,

@@ -19,6 +19,7 @@ import numpy as np
 from mocap import orientation as ori
 from mocap.calibration import measures as unit_checks
 from mocap.errors import FormatError
+from mocap.findings import Finding, assumption, doubt
 from mocap.formats import (
     Content,
     Document,
@@ -141,20 +142,18 @@ def _merged(path: Path, tables: list[_Table]) -> dict[str, str]:
 
 def _timed(
     path: Path, tables: list[_Table], declared: dict[str, str], options: Options
-) -> tuple[float, list[np.ndarray], int, float, list[str]]:
+) -> tuple[float, list[np.ndarray], int, float, list[Finding]]:
     """Rate, the frame of every row of every file, number of frames, time of frame 0, doubts."""
     given = options.rate_hz
     if given is None and "rate_hz" in declared:
         given = _text.number(path, declared["rate_hz"], "declared rate_hz")
-    doubts: list[str] = []
+    doubts: list[Finding] = []
     if any(t.t is None for t in tables):
         if given is None:
             raise FormatError(path, "no column t and no rate_hz (say rate)")
         lengths = [len(next(iter(next(iter(t.sensors.values())).values()))) for t in tables]
         if len(set(lengths)) > 1:
-            doubts.append(
-                f"files of {min(lengths)} to {max(lengths)} rows, all cut to the shortest"
-            )
+            doubts.append(doubt("rows-differ", least=min(lengths), most=max(lengths)))
         return given, [np.arange(min(lengths)) for _ in tables], min(lengths), 0.0, doubts
     stamps = [np.asarray(t.t) for t in tables]
     grids = [_clock.grid(t.path, s, "column t") for t, s in zip(tables, stamps, strict=True)]
@@ -175,10 +174,7 @@ def _timed(
         apart = int(np.abs(by_time - by_count).max())
         if len(tables) > 1 and apart > 1:
             ppm = 1e6 * abs(clock.rate_hz / rate - 1)
-            doubts.append(
-                f"{table.path.name}: its clock is {ppm:.0f} ppm off the others', {apart} frames by the end; "
-                f"its samples lie where its stamps say"
-            )
+            doubts.append(doubt("clock-off", file=table.path.name, ppm=ppm, frames=apart))
             by_count = np.maximum(by_time, 0)
         frames.append(by_count)
     span = max(int(f[-1]) for f in frames) + 1
@@ -215,32 +211,30 @@ def _unit(
 
 def _in_si(
     path: Path, rec: RawRecording, declared: dict[str, str], options: Options
-) -> tuple[RawRecording, list[str]]:
+) -> tuple[RawRecording, list[Finding]]:
     """`rec` in m/s^2 and rad/s. What is not declared is inferred from gravity and plausible speed."""
     doubts = []
     acc = _unit(path, "acc", _ACC_UNITS, declared, options)
     if acc is None and _gravity_free(rec, 1.0):
         acc = 1.0
-        doubts.append("the unit of acc is not declared, and it holds no gravity: read as m/s^2")
+        doubts.append(doubt("acc-undeclared-free"))
     elif acc is None:
-        unit, said = _by_gravity(path, rec)
+        unit, size, when = _by_gravity(path, rec)
         acc = _ACC_UNITS[unit]
         if np.isfinite(rec.acc).any():
-            doubts.append(f"the unit of acc is not declared; read as {unit} ({said})")
+            doubts.append(doubt("acc-undeclared", unit=unit, size=size, when=when))
     gyr = _unit(path, "gyr", _GYR_UNITS, declared, options)
     rec = replace(rec, acc=rec.acc * acc)
     if gyr is None and not np.isfinite(rec.gyr).any():
         gyr = 1.0
     elif gyr is None:
-        in_degrees = _physics.gyr_in_degrees(rec)
-        gyr = _GYR_UNITS["deg/s" if in_degrees else "rad/s"]
-        doubts.append(
-            f"the unit of gyr is not declared; read as {'deg/s' if in_degrees else 'rad/s'}"
-        )
+        unit = "deg/s" if _physics.gyr_in_degrees(rec) else "rad/s"
+        gyr = _GYR_UNITS[unit]
+        doubts.append(doubt("gyr-undeclared", unit=unit))
     return replace(rec, gyr=rec.gyr * gyr), doubts
 
 
-def _by_gravity(path: Path, rec: RawRecording) -> tuple[str, str]:
+def _by_gravity(path: Path, rec: RawRecording) -> tuple[str, float | None, str]:
     """The unit in which acc holds gravity, and how that is known; raises FormatError where none fits.
 
     By still sensors, else by the mean over half seconds, within a factor of two: units are ten apart.
@@ -251,14 +245,14 @@ def _by_gravity(path: Path, rec: RawRecording) -> tuple[str, str]:
     if np.isnan(size):
         size, when = _median(usual), "in the mean over half seconds"
     if np.isnan(size):
-        return "m/s^2", "never still, not checked"
+        return "m/s^2", None, ""
     near = [u for u, f in _ACC_UNITS.items() if 0.5 < size * f / ori.GRAVITY < 2]
     found = f"{size:.3g} {when}"
     if not near:
         raise FormatError(path, f"{found}, gravity in none of m/s^2, g, mg{_physics.FREE}", "acc")
     if size < 0.5 * ori.GRAVITY and _median(usual / sample) < unit_checks.KEPT:
         raise FormatError(path, f"{found}, less than movement{_physics.FREE}", "acc")
-    return near[0], found
+    return near[0], size, when
 
 
 def _gravity_free(rec: RawRecording, to_si: float) -> bool:
@@ -283,7 +277,7 @@ def _median(x: Array) -> float:
 
 def _world(
     path: Path, R: Array, acc: Array, declared: dict[str, str], options: Options
-) -> tuple[Array, str]:
+) -> tuple[Array, Finding]:
     """R_world_sensor in our y-up world, and what was assumed. Undeclared: up is where gravity points."""
     said = [w for w in _WORLDS if w in options.units]
     world = said[0] if said else declared.get("world")
@@ -298,9 +292,8 @@ def _world(
         told = bool(np.linalg.norm(mean) > 0.5 * typical)  # else gravity is not in it
         world = "y-up" if told and mean[1] > mean[2] else "z-up"
         source = "by gravity" if told else "assumed, the file does not say"
-    return (
-        R if world == "y-up" else ori.R_YUP_ZUP @ R
-    ), f"quaternions turn into a {world} world, {source}"
+    taken = assumption("quaternions-into", world=world, source=source)
+    return (R if world == "y-up" else ori.R_YUP_ZUP @ R), taken
 
 
 def _read(path: Path, options: Options) -> Document:
@@ -322,7 +315,7 @@ def _read(path: Path, options: Options) -> Document:
         R, zeros = _checks.quaternions(path, quat, sensors, "quat")
         R, world = _world(path, R, acc, declared, options)
         assumed.append(world)
-        doubts += [f"{zeros} quaternions are zero, read as missing"] if zeros else []
+        doubts += [doubt("zero-quaternions", count=zeros)] if zeros else []
     has_mag = all("mag" in c for c in columns)
     rec = RawRecording(rate, sensors, gyr, acc, mag if has_mag else None, R, start_s=start)
     free = _gravity_free(rec, _unit(path, "acc", _ACC_UNITS, declared, options) or 1.0)
@@ -331,20 +324,17 @@ def _read(path: Path, options: Options) -> Document:
     if free and rec.R_world_sensor is not None:
         up = np.array([0.0, ori.GRAVITY, 0.0])
         rec = replace(rec, acc=rec.acc + np.einsum("tsji,j->tsi", rec.R_world_sensor, up))
-        assumed.append(
-            "acc holds no gravity: it is put back by the orientation, acc taken in the sensors' axes"
-        )
+        assumed.append(assumption("gravity-put-back"))
     blind = [s for s, c in enumerate(columns) if "gyr" not in c and "quat" in c]
     if blind and rec.R_world_sensor is not None:
         gyr = rec.gyr.copy()
         gyr[:, blind] = _checks.rates(rec.R_world_sensor[:, blind], rate)
         rec = replace(rec, gyr=gyr, valid=np.ones(acc.shape[:2], bool))
-        assumed.append(
-            f"gyr of {', '.join(sensors[s] for s in blind)} is the rate of the orientation"
-        )
+        names = [sensors[s] for s in blind]
+        assumed.append(assumption("rates-of-orientation-of", sensors=", ".join(names)))
     ignored = sorted({c for t in tables for c in t.ignored})
     if ignored:
-        doubts.append(f"columns not read: {', '.join(ignored[:12])}")
+        doubts.append(doubt("columns-left-out", columns=", ".join(ignored[:12])))
     doubts += [*_opensim.unknown(sensors), *_physics.raw(path, rec)]
     return Document("csv", rec, (*assumed, *_physics.assumed(rec)), tuple(doubts))
 

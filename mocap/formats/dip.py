@@ -19,10 +19,12 @@ from typing import Any
 import numpy as np
 
 from mocap.errors import FormatError
+from mocap.findings import Finding, assumption, doubt
 from mocap.formats import Document, Format, Options, _checks, _holes, _npz, _physics, _pickled
 from mocap.motion import Motion
 from mocap.recording import Recording
 from mocap.sensors import SIX
+from mocap.words import sentence
 
 SENSORS: tuple[str, ...] = (
     "head", "sternum", "pelvis", "left_shoulder_blade", "right_shoulder_blade", "left_upper_arm",
@@ -56,8 +58,8 @@ def _read_pickle(path: Path, options: Options) -> Document:
     R, acc = R[whole.kept], acc[whole.kept] * _physics.factors(options)[0]
     rec = Recording(rate, SENSORS, R, acc, reference=motion, start_s=start_s)
     assumed = (
-        f"rate {rate:g} Hz, as the data set states",
-        "no translation in the file: the pelvis of the reference stays in place",
+        assumption("rate-of-data-set", rate_hz=rate),
+        assumption("pelvis-stays"),
     )
     doubts = [*whole.notes, *doubts, *_physics.calibrated(path, rec)]
     return Document("dip", rec, assumed, tuple(doubts))
@@ -69,7 +71,11 @@ def read_release(path: str | Path, options: Options | None = None) -> list[Recor
     Six sensors; the pelvis reads the identity and no acceleration, so the world's vertical and heading
     are lost. Raises FormatError naming the sequence and field that does not fit.
     """
-    path, options = Path(path), options or Options()
+    return [recording for recording, _ in _release(Path(path), options or Options())]
+
+
+def _release(path: Path, options: Options) -> list[tuple[Recording, tuple[Finding, ...]]]:
+    """The sequences, and what is doubtful about each."""
     columns = {name: _sequences(path, name) for name in _RELEASE}
     counts = {name: len(c) for name, c in columns.items()}
     if len(set(counts.values())) != 1:
@@ -99,7 +105,9 @@ def _sequences(path: Path, name: str) -> list[Any]:
     return list(found)
 
 
-def _sequence(path: Path, index: int, parts: tuple[Any, ...], options: Options) -> Recording:
+def _sequence(
+    path: Path, index: int, parts: tuple[Any, ...], options: Options
+) -> tuple[Recording, tuple[Finding, ...]]:
     """One sequence from its orientation (T,45), acceleration (T,15) and smpl_pose (T,135)."""
     where = f"sequence {index}"
     R5, acc5, R15 = (
@@ -129,7 +137,7 @@ def _sequence(path: Path, index: int, parts: tuple[Any, ...], options: Options) 
         reference = Motion(rate, R24, np.tile(body.offsets[0], (len(local), 1)), body, start_s)
     else:
         bad = int((~np.isfinite(local).all((1, 2, 3))).sum())
-        notes = (f"{bad} of {T} poses are not finite: no reference",)
+        notes = (doubt("no-reference", poses=bad, of=T),)
     return Recording(
         rate,
         SIX,
@@ -137,25 +145,25 @@ def _sequence(path: Path, index: int, parts: tuple[Any, ...], options: Options) 
         acc[kept],
         reference=reference,
         start_s=start_s,
-        notes=("in the pelvis frame", *notes),
-    )
+        notes=("in the pelvis frame", *map(sentence, notes)),
+    ), notes
 
 
 def _read_release(path: Path, options: Options) -> Document:
-    recordings = read_release(path, options)
-    rec = recordings[0]
+    recordings = _release(path, options)
+    rec, own = recordings[0]
     doubts = []
     if len(recordings) > 1:
-        doubts.append(f"{len(recordings)} sequences in the file; only the first is read")
+        doubts.append(doubt("one-of-sequences", sequences=len(recordings)))
     assumed = (
-        f"rate {options.rate_hz or RATE:g} Hz, as the data set states",
-        "all is relative to the pelvis sensor, which therefore reads the identity: the vertical is lost",
+        assumption("rate-of-data-set", rate_hz=options.rate_hz or RATE),
+        assumption("pelvis-frame"),
     )
     # No test of mean acceleration: in the pelvis' turning frame it is not zero. The pelvis itself has
     # none in it.
     acc = np.array(rec.acc_world)
     acc[:, SIX.index("pelvis")] = 0
-    doubts += [*rec.notes[1:], *_checks.gap_report(rec.valid, rec.sensors)]
+    doubts += [*own, *_checks.gap_report(rec.valid, rec.sensors)]
     doubts += _physics.against_reference(path, replace(rec, acc_world=acc))
     return Document("dip", rec, assumed, tuple(doubts))
 

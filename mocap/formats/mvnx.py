@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from mocap import orientation as ori
 from mocap.errors import FormatError, ShapeError
+from mocap.findings import Finding, assumption, doubt
 from mocap.formats import Document, Format, Options, _checks, _clock, _holes, _physics, _text, _xml
 from mocap.formats._neutral import straightening
 from mocap.motion import Motion
@@ -147,7 +148,7 @@ class _Clock:
     rate_hz: float
     frames: NDArray[np.int64]
     start_s: float
-    doubts: list[str]
+    doubts: list[Finding]
 
     @property
     def whole(self) -> bool:
@@ -177,7 +178,7 @@ def _clock_of(path: Path, take: _Take, options: Options) -> _Clock:
         return _Clock(rate or found.rate_hz, found.frames, start, list(found.doubts))
     if rate is None:
         raise FormatError(path, "neither frameRate nor times (say rate)")
-    doubts = ["frames carry no time: the rate is not checked"]
+    doubts = [doubt("no-time")]
     return _Clock(rate, np.arange(len(times)), 0.0, doubts)
 
 
@@ -216,7 +217,7 @@ def _bones(take: _Take, R: Array, body: Skeleton) -> Array:
     return R
 
 
-def _body(take: _Take, options: Options) -> tuple[Skeleton, list[str]]:
+def _body(take: _Take, options: Options) -> tuple[Skeleton, list[Finding]]:
     """The table's body at the wearer's stature: by the height of the head joint over the toes."""
     if options.smpl is not None:
         return Skeleton.from_smpl_file(options.smpl), []
@@ -231,12 +232,11 @@ def _body(take: _Take, options: Options) -> tuple[Skeleton, list[str]]:
         rest = table.rest_positions
         height = float(span / (rest[15, 1] - rest[[10, 11], 1].min()) * table.stature)
         try:
-            return Skeleton.default(height), [
-                f"stature {height:.2f} m, from the head joint over the toes in the {take.tpose_kind} frame"
-            ]
+            said = assumption("stature-of-frame", stature_m=height, frame=take.tpose_kind)
+            return Skeleton.default(height), [said]
         except ShapeError:
             pass
-    return table, [f"stature {table.stature:.2f} m: the file's poses do not tell it"]
+    return table, [assumption("stature-of-table", stature_m=table.stature)]
 
 
 def _is_tpose(take: _Take) -> bool | None:
@@ -272,7 +272,7 @@ def _positions(path: Path, take: _Take) -> Array | None:
 
 def _motion(
     path: Path, take: _Take, R: Array, clock: _Clock, body: Skeleton
-) -> tuple[Motion | None, slice, tuple[str, ...]]:
+) -> tuple[Motion | None, slice, tuple[Finding, ...]]:
     """R_world_bone (N,n,3,3) by segment, on our tree, the frames that it covers, and what was mended.
 
     None where more than half of the frames are beyond a
@@ -304,7 +304,7 @@ def _recording(
     kept: slice,
     clock: _Clock,
     options: Options,
-) -> tuple[Recording, list[str]]:
+) -> tuple[Recording, list[Finding]]:
     """Sensors on their bones: R_world_bone = R_world_sensor R_bone_sensor^T.
 
     R_carrier (N,n,3,3): R_world_bone by segment. R_bone_sensor is the chordal mean over all frames of its
@@ -322,7 +322,7 @@ def _recording(
     doubts = []
     left_out = [n for n in take.sensors if n not in names]
     if left_out:
-        doubts.append(f"sensors {', '.join(left_out)} sit on no known segment and are left out")
+        doubts.append(doubt("sensors-left-out", sensors=", ".join(left_out)))
     for s, name in enumerate(sensors):
         ok = np.isfinite(relative[:, s]).all((-1, -2))
         if not ok.any():
@@ -332,7 +332,7 @@ def _recording(
         R_bone[:, s] = R[:, s] @ mount.T
         spread = float(np.rad2deg(np.median(ori.angle_between(mount, relative[ok, s]))))
         if spread > SPREAD_DEG:
-            doubts.append(f"sensor {name}: {spread:.0f} deg (median) off a constant mounting")
+            doubts.append(doubt("mounting-varies", name, off_deg=spread))
     acc, more = _acceleration(path, take, use, R, _physics.factors(options)[0])
     R_bone, acc = (clock.placed(x)[kept] for x in (R_bone, acc))
     start = clock.start_s + kept.start / clock.rate_hz
@@ -342,7 +342,7 @@ def _recording(
 
 def _acceleration(
     path: Path, take: _Take, use: list[int], R: Array, unit: float
-) -> tuple[Array, list[str]]:
+) -> tuple[Array, list[Finding]]:
     """acc_world (N,S,3) m/s^2 of the sensors `use`, and doubts. R: their orientations in our axes.
 
     Free acceleration as it is. Of `sensorAcceleration`, which versions write in the sensor's axes or in the
@@ -353,7 +353,7 @@ def _acceleration(
         return free[:, use] @ R_OURS_MVN.T * unit, []
     sensed = _array(path, take, _SENSED)
     if sensed is None:
-        return np.full((*R.shape[:2], 3), np.nan), [f"no {_FREE} in the file: orientations alone"]
+        return np.full((*R.shape[:2], 3), np.nan), [doubt("no-free-acc", field=_FREE)]
     world = sensed[:, use] @ R_OURS_MVN.T * unit
     turned = np.einsum("tsij,tsj->tsi", R, world)
     up = np.array([0.0, ori.GRAVITY, 0.0])
@@ -366,7 +366,7 @@ def _acceleration(
         k: float(np.linalg.norm(np.nanmean(a, axis=0), axis=-1).mean()) for k, a in readings.items()
     }
     best = min(size, key=lambda k: size[k])
-    return readings[best], [f"no {_FREE}; {_SENSED} is read as {best}"]
+    return readings[best], [doubt("acc-read-as", field=_FREE, instead=_SENSED, reading=best)]
 
 
 def _read(path: Path, options: Options) -> Document:
@@ -388,27 +388,24 @@ def _read(path: Path, options: Options) -> Document:
     missing = [n for n in dict.fromkeys(CARRIERS) if n not in take.segments]
     motion, kept = None, slice(0, int(clock.frames[-1]) + 1)
     if missing:
-        doubts.append(f"segments {', '.join(missing)} are missing, so no reference motion")
+        doubts.append(doubt("segments-missing", segments=", ".join(missing)))
     else:
         motion, kept, mended = _motion(path, take, R, clock, body)
-        doubts += mended or ([] if motion else ["too many frames are missing for a reference"])
-    assumed = ["world is z-up with x forward in the file, y-up here", *assumed]
+        doubts += mended or ([] if motion else [doubt("no-reference-holes")])
+    assumed = [assumption("world-of-mvn"), *assumed]
     level = _is_tpose(take)
     if level is False:
-        doubts.append(
-            f"the arms hang in the {take.tpose_kind} frame, yet segment frames are taken to be the world's "
-            f"in a T-pose"
-        )
+        doubts.append(doubt("arms-hang", frame=take.tpose_kind))
     has_sensors = bool(take.values["sensorOrientation"])
     if has_sensors and any(n in PLACES and n in take.segments for n in take.sensors):
         rec, more = _recording(path, take, R, motion, kept, clock, options)
-        assumed.append("sensors are mounted on their segments at their mean relative orientation")
+        assumed.append(assumption("mounted-at-mean"))
         doubts += more + _physics.calibrated(path, rec)
         return Document("mvnx", rec, tuple(assumed), tuple(doubts))
     if motion is None:
         why = f"no {', '.join(missing)}" if missing else "too many frames are missing"
         raise FormatError(path, f"neither sensors nor a whole body: {why}")
-    return Document("mvnx", motion, tuple(assumed), (*doubts, "no sensor data: read as a motion"))
+    return Document("mvnx", motion, tuple(assumed), (*doubts, doubt("no-sensor-data")))
 
 
 def _sniff(path: Path, head: bytes) -> bool:

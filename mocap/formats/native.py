@@ -276,7 +276,7 @@ def _read(path: Path, options: Options) -> Document:
         return Document("native", raw, _physics.assumed(raw), tuple(_physics.raw(path, raw)))
     if schema == RECORDING:
         recording = read_recording(path, options)
-        return Document("native", recording, warnings=tuple(_physics.calibrated(path, recording)))
+        return Document("native", recording, doubts=tuple(_physics.calibrated(path, recording)))
     raise FormatError(
         path, f"schema is {schema[:60]!r}; this version reads {RECORDING!r} and {RAW!r}"
     )

@@ -14,6 +14,7 @@ import numpy as np
 
 from mocap import orientation as ori
 from mocap.errors import FormatError
+from mocap.findings import Finding, assumption, doubt
 from mocap.formats import Document, Format, Options, _checks, _clock, _opensim, _text, check_mapped
 from mocap.orientation import Array
 from mocap.recording import RawRecording
@@ -85,7 +86,7 @@ def _read(path: Path, options: Options) -> Document:
     sensors = _names(columns, options)
     if len(t) == 1 and options.rate_hz is None:
         raise FormatError(path, "one row only, so no rate (say rate)")
-    doubts: list[str] = []
+    doubts: list[Finding] = []
     if len(t) > 1:
         clock = _clock.grid(path, t)
         rate, frames, doubts = clock.rate_hz, clock.frames, list(clock.doubts)
@@ -93,7 +94,7 @@ def _read(path: Path, options: Options) -> Document:
         rate, frames = float(options.rate_hz or 0), np.zeros(len(t), np.int64)
     R, zeros = _checks.quaternions(path, quat, sensors, "quaternion")
     if zeros:
-        doubts.append(f"{zeros} quaternions are zero, read as missing")
+        doubts.append(doubt("zero-quaternions", count=zeros))
     z_up = "y-up" not in options.units
     full = np.full((int(frames[-1]) + 1 if len(frames) else 0, len(sensors), 3, 3), np.nan)
     full[frames] = ori.R_YUP_ZUP @ R if z_up else R
@@ -107,8 +108,8 @@ def _read(path: Path, options: Options) -> Document:
         "opensense",
         rec,
         (
-            f"the world of the file is {'z' if z_up else 'y'}-up (the file does not say)",
-            "no acceleration in the file; gyr is the rate of the orientation",
+            assumption("world-undeclared", world="z-up" if z_up else "y-up"),
+            assumption("orientations-alone"),
             *([_opensim.TORSO] if "sternum" in sensors else []),
         ),
         (*doubts, *_opensim.unknown(sensors), *_checks.gap_report(rec.valid, sensors)),

@@ -15,6 +15,7 @@ import numpy as np
 
 from mocap import orientation as ori
 from mocap.errors import FormatError
+from mocap.findings import Finding, assumption, distinct
 from mocap.formats import (
     Document,
     Format,
@@ -26,7 +27,7 @@ from mocap.formats import (
     _physics,
     check_mapped,
 )
-from mocap.formats._phone_tables import App, Kind, Stream
+from mocap.formats._phone_tables import App, Quantity, Stream
 from mocap.orientation import Array
 from mocap.recording import RawRecording
 
@@ -48,7 +49,7 @@ class _Device:
 
     name: str
     app: App
-    streams: dict[Kind, Stream]
+    streams: dict[Quantity, Stream]
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +62,8 @@ class _Track:
     gyr: Array
     mag: Array | None
     R: Array | None
-    said: list[str]
-    doubts: list[str]
+    said: list[Finding]
+    doubts: list[Finding]
 
 
 def _devices(path: Path) -> list[_Device]:
@@ -93,7 +94,7 @@ def _tables(folder: Path) -> list[tuple[Path, App]]:
 
 def _device(name: str, files: list[Path]) -> _Device:
     """The device that these files, at least one, are of."""
-    streams: dict[Kind, Stream] = {}
+    streams: dict[Quantity, Stream] = {}
     app: App = "Sensor Logger"
     for path in files:
         with path.open("rb") as f:
@@ -124,7 +125,7 @@ def _device(name: str, files: list[Path]) -> _Device:
     return _Device(name, app, streams)
 
 
-def _has_gravity(streams: dict[Kind, Stream]) -> bool:
+def _has_gravity(streams: dict[Quantity, Stream]) -> bool:
     """Whether what is called free of gravity holds it all the same."""
     if "free" not in streams:
         return False
@@ -138,7 +139,7 @@ def _track(device: _Device) -> _Track:
     where = f"{base.path.name}, time"
     clock = _clock.grid(base.path, base.t - base.t[0], where)
     grid = float(base.t[0]) + np.arange(int(clock.frames[-1]) + 1) / clock.rate_hz
-    on: dict[Kind, Array] = {}
+    on: dict[Quantity, Array] = {}
     for kind, stream in streams.items():
         if len(stream.t) == len(base.t) and np.array_equal(stream.t, base.t):
             out = np.full((len(grid), stream.values.shape[1]), np.nan)
@@ -146,7 +147,7 @@ def _track(device: _Device) -> _Track:
         else:
             out = _between(stream, grid)
         on[kind] = out * (stream.to_si if stream.to_si is not None else 1.0)
-    said: list[str] = []
+    said: list[Finding] = []
     q = on.get("quat")
     R = (
         None
@@ -158,26 +159,26 @@ def _track(device: _Device) -> _Track:
         force, R = _upright(device, force, R, gravity_in, said)
     elif device.app == "SensorLog":
         force = -force
-        said.append("accelerations are turned round: iOS gives those of gravity")
+        said.append(assumption("acc-turned-round"))
     gyr = on.get("gyr")
     if gyr is None:
         assert R is not None
         gyr = _checks.rates(R[:, None], clock.rate_hz)[:, 0]
-        said.append(f"no rates of {device.name}: gyr is the rate of the orientation")
+        said.append(assumption("no-rates-of", device=device.name))
     return _Track(clock.rate_hz, grid, force, gyr, on.get("mag"), R, said, list(clock.doubts))
 
 
-def _force(device: _Device, on: dict[Kind, Array], said: list[str]) -> tuple[Array, bool]:
+def _force(device: _Device, on: dict[Quantity, Array], said: list[Finding]) -> tuple[Array, bool]:
     """Acceleration (T,3) m/s^2 in the device's axes, of either sign, and whether it holds gravity."""
     if "force" in on:
         force, gravity = on["force"], True
     elif "free" in on and "gravity" in on:
         force, gravity = on["free"] + on["gravity"], True
-        said.append(f"acceleration of {device.name} is gravity and acceleration together")
+        said.append(assumption("acc-summed", device=device.name))
     elif "free" in on:
         force, gravity = on["free"], _has_gravity(device.streams)
         if gravity:
-            said.append(f"acceleration of {device.name} holds gravity, whatever its name")
+            said.append(assumption("acc-has-gravity", device=device.name))
     elif "gravity" in on:
         force, gravity = on["gravity"], True
     else:
@@ -189,21 +190,18 @@ def _force(device: _Device, on: dict[Kind, Array], said: list[str]) -> tuple[Arr
     if unit is None and gravity:
         size = float(np.nanmedian(np.linalg.norm(force, axis=1)))
         if 0.5 < size < 2:
-            said.append(f"acceleration of {device.name} is in g, by the size of gravity")
+            said.append(assumption("acc-of-device-in-g", device=device.name))
             force = ori.GRAVITY * force
     return force, gravity
 
 
 def _upright(
-    device: _Device, force: Array, R: Array, gravity_in: bool, said: list[str]
+    device: _Device, force: Array, R: Array, gravity_in: bool, said: list[Finding]
 ) -> tuple[Array, Array]:
     """Specific force and R_world_sensor in our world: sign, turning and vertical are those of gravity."""
     if not gravity_in:
         R_up = ori.R_YUP_ZUP @ R
-        said.append(
-            f"acceleration of {device.name} holds no gravity: it is put back by the orientation, "
-            f"taken to turn the device to a z-up world"
-        )
+        said.append(assumption("acc-put-back", device=device.name))
         up = np.array([0.0, ori.GRAVITY, 0.0])
         return force + np.einsum("tji,j->ti", R_up, up), R_up
     size = float(np.nanmean(np.linalg.norm(force, axis=1)))
@@ -224,10 +222,16 @@ def _upright(
         )
     sign, inverse, axis = choice
     out = np.swapaxes(R, -1, -2) if inverse else R
-    words = [f"{'zy'[axis == 1]}-up"]
-    words += ["accelerations turned round"] if sign < 0 else []
-    words += ["quaternions inverted"] if inverse else []
-    said.append(f"orientation of {device.name} by gravity: {', '.join(words)}")
+    named = "zy"[axis == 1]
+    said.append(
+        assumption(
+            "device-by-gravity",
+            device=device.name,
+            up=named,
+            turned_round=sign < 0,
+            inverted=inverse,
+        )
+    )
     return sign * force, out if axis == 1 else ori.R_YUP_ZUP @ out
 
 
@@ -262,7 +266,7 @@ def _read(path: Path, options: Options) -> Document:
     sensors = tuple(given.get(n, n) for n in names)
     rate = options.rate_hz or float(np.median([t.rate_hz for t in tracks]))
     begin, end = max(t.t[0] for t in tracks), min(t.t[-1] for t in tracks)
-    doubts = [f"{n}: {d}" for n, t in zip(names, tracks, strict=True) for d in t.doubts]
+    doubts = [d for n, t in zip(names, tracks, strict=True) for d in _clock.within(n, t.doubts)]
     if len(tracks) > 1 and end <= begin:
         raise FormatError(path, "the devices' times do not overlap: were they recorded together?")
     if len(tracks) == 1:
@@ -290,7 +294,7 @@ def _read(path: Path, options: Options) -> Document:
         rate, sensors, gyr * gyr_unit, force * acc_unit, mag, R, common_heading=len(tracks) == 1
     )
     apps = ", ".join(dict.fromkeys(d.app for d in devices))
-    said = [f"exported by {apps}", *dict.fromkeys(s for t in tracks for s in t.said)]
+    said = [assumption("exported-by", apps=apps), *distinct(s for t in tracks for s in t.said)]
     doubts += [*_opensim.unknown(sensors), *_physics.raw(path, rec)]
     return Document("phone", rec, (*said, *_physics.assumed(rec)), tuple(doubts))
 

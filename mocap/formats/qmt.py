@@ -17,6 +17,7 @@ from mocap import orientation as ori
 from mocap.calibration import measures as unit_checks
 from mocap.calibration.static_pose import find_static
 from mocap.errors import CalibrationError, FormatError
+from mocap.findings import Finding, assumption, distinct, doubt
 from mocap.formats import (
     Document,
     Format,
@@ -120,7 +121,7 @@ def _settled(R_world_sensor: Array, gyr: Array, rate_hz: float) -> int:
     return int(follows[0]) if len(follows) and follows[0] > 0 else 0
 
 
-def _facing(rec: RawRecording, R_world_segment: Array) -> tuple[float | None, list[str]]:
+def _facing(rec: RawRecording, R_world_segment: Array) -> tuple[float | None, list[Finding]]:
     """Heading (rad) of the wearer's forward in the static pose, and what was assumed for it.
 
     Trunk and leg segments have ISB axes, x forward, y up, in the N-pose; None where they do not agree.
@@ -139,10 +140,8 @@ def _facing(rec: RawRecording, R_world_segment: Array) -> tuple[float | None, li
         return None, []
     heading = float(np.arctan2(mean[0], mean[2]))
     a, b = window.seconds(rec)
-    return heading, [
-        f"the wearer faces {np.rad2deg(heading):.0f} deg in the static pose at {a:.1f} to {b:.1f} s: the x "
-        f"axes of trunk and legs there"
-    ]
+    deg = float(np.rad2deg(heading))
+    return heading, [assumption("facing-in-pose", facing_deg=deg, start_s=a, end_s=b)]
 
 
 def _field(
@@ -195,33 +194,26 @@ def _read(path: Path, options: Options) -> Document:
     acc, gyr = acc * acc_unit, gyr * gyr_unit
     R_segment, zeros = _checks.quaternions(path, quat, sensors, "quat")
     if zeros:
-        doubts.append(f"{zeros} quaternions are zero, read as missing")
+        doubts.append(doubt("zero-quaternions", count=zeros))
     R_segment = ori.R_YUP_ZUP @ R_segment
     R, fitted = _mount(R_segment, gyr, acc, rate, sensors)
-    doubts += [
-        f"sensor {n}: {e:.0%} residual of the mounting fit" for n, e in fitted.items() if e > DOUBT
-    ]
+    doubts += [doubt("mounting-unsure", n, residual=e) for n, e in fitted.items() if e > DOUBT]
     settled = [_settled(R[:, s], gyr[:, s], rate) for s in range(len(sensors))]
     valid = np.arange(len(t))[:, None] >= np.array(settled)
     if max(settled):
-        doubts.append(
-            f"the file's orientations have not settled before frame {max(settled)}: those samples "
-            f"are marked invalid"
-        )
+        doubts.append(doubt("not-settled", frame=max(settled)))
     rec = RawRecording(rate, sensors, gyr, acc, R_world_sensor=R, valid=valid, start_s=float(t[0]))
     facing, assumed = _facing(rec, R_segment)
     rec = replace(rec, facing_rad=facing)
-    residuals = ", ".join(f"{n} {e:.1%}" for n, e in fitted.items())
     return Document(
         "qmt",
         rec,
         (
-            "world is z-up in the file, y-up here",
-            "quat is the segment's orientation; the constant rotation to the sensor is fitted to gyr and "
-            f"gravity, residual of the rate: {residuals}",
+            assumption("world-of-file"),
+            assumption("mounting-fitted", residual=fitted),
             *assumed,
         ),
-        tuple(dict.fromkeys(doubts + _physics.raw(path, rec))),
+        tuple(distinct(doubts + _physics.raw(path, rec))),
     )
 
 

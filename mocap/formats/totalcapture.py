@@ -23,6 +23,7 @@ import numpy as np
 
 from mocap import orientation as ori
 from mocap.errors import FormatError
+from mocap.findings import Finding, assumption, distinct, doubt
 from mocap.formats import Document, Format, Options, _checks, _holes, _physics, _pickled, _text
 from mocap.orientation import Array
 from mocap.recording import RawRecording, Recording
@@ -178,7 +179,7 @@ def _positions(path: Path) -> dict[str, Array]:
     return {name: table[:, j] for j, name in enumerate(joints)}
 
 
-def _limb_doubts(path: Path, rec: Recording, positions: dict[str, Array]) -> list[str]:
+def _limb_doubts(path: Path, rec: Recording, positions: dict[str, Array]) -> list[Finding]:
     """Directions of limbs by the sensors against those by position; both end together."""
     rest = Skeleton.default().rest_positions
     off = {}
@@ -195,16 +196,14 @@ def _limb_doubts(path: Path, rec: Recording, positions: dict[str, Array]) -> lis
             off[place] = float(np.rad2deg(np.nanmedian(angle)))
     wrong = {n: a for n, a in off.items() if a > LIMB_DOUBT_DEG}
     if not off:
-        return ["no limb of the position file is known: directions are not checked"]
+        return [doubt("limbs-unchecked")]
     if float(np.median(list(off.values()))) > LIMB_WRONG_DEG:
         raise FormatError(
             path,
             f"sensors point the limbs {np.median(list(off.values())):.0f} deg (median) from the "
             f"positions: the calibration files do not mean what is assumed",
         )
-    return [
-        f"sensor {n}: the limb is {a:.0f} deg (median) off its positions" for n, a in wrong.items()
-    ]
+    return [doubt("limb-off", n, off_deg=a) for n, a in wrong.items()]
 
 
 def _read_sensors(path: Path, options: Options) -> Document:
@@ -217,32 +216,32 @@ def _read_sensors(path: Path, options: Options) -> Document:
     R_I_S, zeros = _checks.quaternions(path, data.quat, data.names, "orientation")
     acc_unit, gyr_unit = _physics.factors(options)
     measured = data.acc * acc_unit
-    assumed = [] if options.rate_hz else [f"rate {RATE:g} Hz, as the data set states"]
-    doubts = [f"{zeros} quaternions are zero, read as missing"] if zeros else []
+    assumed = [] if options.rate_hz else [assumption("rate-of-data-set", rate_hz=RATE)]
+    doubts = [doubt("zero-quaternions", count=zeros)] if zeros else []
     if data.gyr is None:
-        assumed.append("no rates in the file; gyr is the rate of the orientation")
+        assumed.append(assumption("rates-of-orientation"))
     gyr = _checks.rates(R_I_S, rate) if data.gyr is None else data.gyr * gyr_unit
     bone, ref = _beside(path, "calib_imu_bone"), _beside(path, "calib_imu_ref")
     if bone is None or ref is None:
-        doubts.append("no calibration files beside it: read as a raw recording")
-        assumed.append("the sensors' world is z-up, y-up here")
+        doubts.append(doubt("no-calibration-files"))
+        assumed.append(assumption("world-of-sensors"))
         rec = RawRecording(rate, sensors, gyr, measured, data.mag, ori.R_YUP_ZUP @ R_I_S)
         return Document("totalcapture", rec, tuple(assumed), (*doubts, *_physics.raw(path, rec)))
     R_S_B = np.swapaxes(_calibration(bone, data.names), -1, -2) @ BONE
     R_M_S = WORLD @ _calibration(ref, data.names) @ R_I_S  # R_I_M^T = WORLD^T R(q), WORLD symmetric
     raw = RawRecording(rate, sensors, gyr, measured, data.mag, R_M_S)
-    doubts += [d for d in _physics.raw(path, raw) if d not in doubts]
+    doubts += _physics.raw(path, raw)
     acc = np.einsum("tsij,tsj->tsi", R_M_S, measured) - np.array([0, ori.GRAVITY, 0])
     calibrated = Recording(rate, sensors, R_M_S @ R_S_B, acc, valid=raw.valid)
-    assumed.append(f"calibrated by {bone.name} and {ref.name} as one public reader does")
+    assumed.append(assumption("calibrated-by", bone=bone.name, reference=ref.name))
     positions = _positions_file(path)
     if positions is None:
-        doubts.append("no gt_skel_gbl_pos.txt found: the calibration is checked by gravity alone")
+        doubts.append(doubt("no-positions"))
     else:
         doubts += _limb_doubts(path, calibrated, _positions(positions))
-        assumed.append(f"limb directions checked against {positions.name}; it makes no reference")
+        assumed.append(assumption("limbs-checked", file=positions.name))
     doubts += _physics.calibrated(path, calibrated)
-    return Document("totalcapture", calibrated, tuple(assumed), tuple(dict.fromkeys(doubts)))
+    return Document("totalcapture", calibrated, tuple(assumed), tuple(distinct(doubts)))
 
 
 def _read_pickle(path: Path, options: Options) -> Document:
@@ -257,7 +256,7 @@ def _read_pickle(path: Path, options: Options) -> Document:
     longest = max(len(R), len(acc), len(pose))
     if longest - T > 3:
         raise FormatError(path, f"ori, acc and gt have {len(R)}, {len(acc)} and {len(pose)} frames")
-    doubts = [f"lengths differ by {longest - T}: cut to {T} frames"] if longest > T else []
+    doubts = [doubt("lengths-differ", by=longest - T, frames=T)] if longest > T else []
     rate = options.rate_hz or RATE
     R = _checks.rotations(path, R[:T], LEGS_FIRST, "ori")
     whole = _holes.poses(pose[:T], rate)
@@ -267,8 +266,8 @@ def _read_pickle(path: Path, options: Options) -> Document:
     R, acc = R[whole.kept], acc[:T][whole.kept] * _physics.factors(options)[0]
     rec = Recording(rate, LEGS_FIRST, R, acc, reference=reference, start_s=start_s).select(SIX)
     assumed = (
-        f"rate {rate:g} Hz; sensors legs first, as three of four public readers have it",
-        "orientations are aligned to the pose of frame 0; the pelvis of the reference stays in place",
+        assumption("legs-first", rate_hz=rate),
+        assumption("aligned-in-frame-0"),
     )
     doubts += [*whole.notes, *said, *_physics.calibrated(path, rec)]
     return Document("totalcapture", rec, assumed, tuple(doubts))

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from mocap.errors import FormatError
+from mocap.findings import Finding, assumption, distinct, doubt
 from mocap.formats import (
     Document,
     Format,
@@ -25,7 +26,7 @@ from mocap.formats import (
     _physics,
     _xsens_export,
 )
-from mocap.formats._xsens_export import Export
+from mocap.formats._xsens_export import SensorExport
 from mocap.orientation import Array
 from mocap.recording import RawRecording
 
@@ -37,15 +38,15 @@ MAX_FILES = 64
 
 
 def _aligned(
-    path: Path, exports: list[Export], rate: float
-) -> tuple[list[_clock.Frames], list[str]]:
+    path: Path, exports: list[SensorExport], rate: float
+) -> tuple[list[_clock.Frames], list[Finding]]:
     """The frame of every row of every file on one clock, counted from the earliest, and doubts."""
     if all(e.dot and e.seconds is not None for e in exports):
         return _by_time(path, exports, rate)
     if any(e.packets is None for e in exports):
         several = len(exports) > 1
-        doubt = ["no PacketCounter: files are aligned at their first row"] if several else []
-        return [np.arange(len(e)) for e in exports], doubt
+        aligned = [doubt("no-counter")] if several else []
+        return [np.arange(len(e)) for e in exports], aligned
     counters = [_unwrapped(e) for e in exports]
     # Counters of one trial start within seconds of each other, but on either side of a wrap.
     first = counters[0][0]
@@ -59,25 +60,25 @@ def _aligned(
 
 
 def _by_time(
-    path: Path, exports: list[Export], rate: float
-) -> tuple[list[_clock.Frames], list[str]]:
+    path: Path, exports: list[SensorExport], rate: float
+) -> tuple[list[_clock.Frames], list[Finding]]:
     """By the clock that synchronised DOTs share; by their first rows where there is none."""
     stamps = [np.asarray(e.seconds) for e in exports]
     grids = [_clock.grid(e.path, s, "SampleTimeFine") for e, s in zip(exports, stamps, strict=True)]
-    doubts = [f"{e.path.name}: {d}" if len(exports) > 1 else d
-              for e, g in zip(exports, grids, strict=True) for d in g.doubts]  # fmt: skip
+    doubts = [d for g in grids for d in g.doubts]
+    if len(exports) > 1:
+        named = zip(exports, grids, strict=True)
+        doubts = [d for e, g in named for d in _clock.within(e.path.name, g.doubts)]
     begin = min(float(s[0]) for s in stamps)
     if max(float(s[0]) for s in stamps) > min(float(s[-1]) for s in stamps):
-        doubts.append(
-            "the devices' clocks have no time in common (not synchronised): aligned at their first rows"
-        )
+        doubts.append(doubt("not-synchronised"))
         return [g.frames for g in grids], doubts
     return [
         g.frames + round((float(s[0]) - begin) * rate) for g, s in zip(grids, stamps, strict=True)
     ], doubts
 
 
-def _unwrapped(export: Export) -> Array:
+def _unwrapped(export: SensorExport) -> Array:
     packets = export.packets
     assert packets is not None
     bad = ~((packets >= 0) & (packets < 1e9) & (packets == np.floor(packets)))
@@ -106,7 +107,7 @@ def _placed(
     return out
 
 
-def _files(folder: Path, prefix: str) -> tuple[list[Path], list[str]]:
+def _files(folder: Path, prefix: str) -> tuple[list[Path], list[Finding]]:
     """The exports of a folder, and which other tables in it are left out."""
     tables = sorted(
         p
@@ -122,10 +123,10 @@ def _files(folder: Path, prefix: str) -> tuple[list[Path], list[str]]:
     if len(found) > MAX_FILES:
         raise FormatError(folder, f"{len(found)} files, at most {MAX_FILES} sensors are read")
     others = [p.name for p in tables if p not in found]
-    return found, [f"left out, no exports: {', '.join(others[:5])}"] if others else []
+    return found, [doubt("files-left-out", files=", ".join(others[:5]))] if others else []
 
 
-def _names(folder: Path, exports: list[Export]) -> list[str]:
+def _names(folder: Path, exports: list[SensorExport]) -> list[str]:
     """A name for each device: its tag, else its number in the file's name, else what the name has of its own.
 
     Raises FormatError where one device has several files, which are several trials.
@@ -146,7 +147,7 @@ def _names(folder: Path, exports: list[Export]) -> list[str]:
 
 
 def _mapping(folder: Path, options: Options) -> tuple[str, dict[str, str], str]:
-    """Trial prefix, {device: place}, and where the names come from."""
+    """Trial prefix, {device: place}, and the file that the names come from."""
     path = options.mapping
     if isinstance(path, dict) or (path is not None and path.suffix.lower() != ".xml"):
         return "", {k.lstrip("_"): v for k, v in _opensim.given(options).items()}, ""
@@ -158,7 +159,7 @@ def _mapping(folder: Path, options: Options) -> tuple[str, dict[str, str], str]:
     if path is None:
         return "", {}, ""
     prefix, names = _opensim.read_mapping(path)
-    return prefix, {k: _opensim.place(v) for k, v in names.items()}, f"named by {path.name}"
+    return prefix, {k: _opensim.place(v) for k, v in names.items()}, path.name
 
 
 def _head(path: Path) -> bytes:
@@ -166,7 +167,7 @@ def _head(path: Path) -> bytes:
         return f.read(4096)
 
 
-def _rate(path: Path, exports: list[Export], options: Options) -> tuple[float, list[str]]:
+def _rate(path: Path, exports: list[SensorExport], options: Options) -> tuple[float, list[Finding]]:
     """Samples per s: of the options, the headers or SampleTimeFine; and what was assumed."""
     if options.rate_hz:
         return options.rate_hz, []
@@ -182,7 +183,7 @@ def _rate(path: Path, exports: list[Export], options: Options) -> tuple[float, l
         raise FormatError(path, "no line '// Update Rate' and no SampleTimeFine: say --rate HZ")
     found = [_clock.grid(e.path, np.asarray(e.seconds), "SampleTimeFine").rate_hz for e in timed]
     rate = float(f"{np.median(found):.6g}")
-    return rate, [f"rate {rate:g} Hz, by SampleTimeFine"]
+    return rate, [assumption("rate-of-stamps", rate_hz=rate)]
 
 
 def _read(path: Path, options: Options) -> Document:
@@ -192,7 +193,7 @@ def _read(path: Path, options: Options) -> Document:
     exports = [_xsens_export.read(p) for p in files]
     devices = _names(folder, exports)
     sensors = tuple(places.get(d, d) for d in devices)
-    rate, assumptions = _rate(path, exports, options)
+    rate, assumed = _rate(path, exports, options)
     frames, doubts = _aligned(path, exports, rate)
     doubts += left_out
     T = max(int(f[-1]) for f in frames) + 1
@@ -206,29 +207,27 @@ def _read(path: Path, options: Options) -> Document:
         mag = _placed([e.columns["mag"] for e in exports], frames, T, (3,))
     if any(turn is not None for turn in turns):
         R, world = _physics.upright(_placed(turns, frames, T, (3, 3)), acc, "z-up")
-        assumptions.append(world)
-    assumptions += dict.fromkeys(said for _, said in forces if said)
+        assumed.append(world)
+    assumed += distinct(said for _, said in forces if said)
     if source:
-        assumptions.append(f"sensors {source}")
+        assumed.append(assumption("names-from", file=source))
     if "sternum" in sensors:
-        assumptions.append(_opensim.TORSO)
+        assumed.append(_opensim.TORSO)
     blind = [s for s, e in enumerate(exports) if "gyr" not in e.columns]
     if blind and R is not None:
         gyr[:, blind] = _checks.rates(R[:, blind], rate)
-        assumptions.append("no rates in the file; gyr is the rate of the orientation")
+        assumed.append(assumption("rates-of-orientation"))
     # Sensors stop and start one after the other: outside what all have, there is nothing to solve.
     start = max(int(f[0]) for f in frames)
     stop = min(int(f[-1]) for f in frames) + 1
     if stop <= start:
         raise FormatError(path, "the sensors' packets do not overlap in time", _COUNTER)
     if (start, stop) != (0, T):
-        doubts.append(
-            f"frames {start} to {stop - 1} of {T} are read: all sensors have begun, none has ended"
-        )
+        doubts.append(doubt("common-part", first=start, last=stop - 1, of=T))
     rec = RawRecording(rate, sensors, gyr, acc, mag, R).slice(start, stop)
     doubts += [*_opensim.unknown(sensors), *_physics.raw(path, rec)]
     name = "xsens_dot" if all(e.dot for e in exports) else "xsens_mtw"
-    return Document(name, rec, (*assumptions, *_physics.assumed(rec)), tuple(doubts))
+    return Document(name, rec, (*assumed, *_physics.assumed(rec)), tuple(doubts))
 
 
 def _looks(head: bytes) -> bool:

@@ -8,7 +8,6 @@ It holds none of the pieces of `mocap.synthesis.motions`, on which the demo meas
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -47,11 +46,6 @@ def motions(
     the count."""
     for k in range(COUNT if count is None else count):
         yield f"{NAME} {seed}-{k}", motion(seconds, np.random.default_rng([seed, k]))
-
-
-def is_name(name: str) -> bool:
-    """Whether a clip of this name is one of `motions`; a file's path ends in a suffix."""
-    return re.fullmatch(rf"{NAME} \d+-\d+", name) is not None
 
 
 def motion(seconds: float, rng: np.random.Generator) -> Motion:

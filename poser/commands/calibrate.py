@@ -6,7 +6,6 @@ The recording needs one still moment in a known pose. Where the wearer faces com
 
 from __future__ import annotations
 
-import re
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -114,38 +113,31 @@ def run(args: Namespace) -> int:
     return DONE
 
 
-def _read(args: Namespace) -> tuple[RawRecording, tuple[str, ...]]:
+def _read(args: Namespace) -> tuple[RawRecording, tuple[Finding, ...]]:
     """The raw recording, and what its reader doubts, which is told among the diagnostics."""
     from mocap.recording import RawRecording
 
     doc = files.read(args.raw, options.reading(args))
     if not isinstance(doc.content, RawRecording):
         return files.raw(args.raw, options.reading(args)), ()  # raises, and says what to do
-    return doc.content, doc.warnings
+    return doc.content, doc.doubts
 
 
 def _with_doubts(
-    recording: Recording, calibration: Calibration, doubts: tuple[str, ...]
+    recording: Recording, calibration: Calibration, doubts: Sequence[Finding]
 ) -> tuple[Recording, Calibration]:
     """Both with the reader's doubts among the diagnostics: warnings, and samples that are missing as info.
 
     Doubts about sensors that are not used, and those that the diagnostics state themselves, are left out.
     """
-    from mocap.calibration import sentence
-    from mocap.findings import ORDER, Finding
+    from mocap.findings import ORDER
 
-    told = set(map(sentence, calibration.diagnostics))
-    more = []
-    for text in doubts:
-        head = re.match(r"sensor ([^:]+):", text)
-        sensor = head[1] if head else None
-        if text in told or not (sensor is None or sensor in calibration.sensors):
-            continue
-        gap = re.match(r"\d+ of \d+ samples ", text)
-        # Several may share this code, unlike those of the checks.
-        code = "missing-samples" if gap else "reader"
-        severity: Severity = "info" if gap else "warning"
-        more.append(Finding(severity, sensor, code, None, {"said": text}))
+    told = {(f.code, f.sensor) for f in calibration.diagnostics}
+    more = [
+        replace(f, severity="info" if f.code == "missing-samples" else "warning")
+        for f in doubts
+        if (f.code, f.sensor) not in told and (f.sensor is None or f.sensor in calibration.sensors)
+    ]
     if not more:
         return recording, calibration
     more = sorted([*calibration.diagnostics, *more], key=lambda f: ORDER[f.severity])
@@ -182,7 +174,7 @@ def record(calibration: Calibration, recording: Recording) -> dict[str, Any]:
 def _print(path: Path, calibration: Calibration, recording: Recording) -> None:
     import numpy as np
 
-    from mocap.calibration.words import clause
+    from mocap.words import clause
 
     start, stop = calibration.time
     sigma = float(np.rad2deg(calibration.heading_sigma).max())

@@ -98,8 +98,8 @@ def _output(args: Namespace) -> Path:
 def _with_reference(args: Namespace, recording: Recording) -> Recording:
     """The recording with the motion of --reference in it."""
     from mocap.evaluation import references
-    from mocap.evaluation.words import sentence
     from mocap.formats import Options, native
+    from mocap.words import sentence
 
     # What is said of sensors' files, rate and names among it, is not said of the motion.
     body = Options(height=args.height, scale=args.scale, smpl=args.smpl)
@@ -108,7 +108,7 @@ def _with_reference(args: Namespace, recording: Recording) -> Recording:
     with files.about(args.input):
         made, found = references.with_reference(recording, motion, timed, str(args.reference))
     for finding in found:
-        note(f"{args.input}: {sentence(finding, str(args.reference))}")
+        note(f"{args.input}: {sentence(finding)}")
     return made
 
 

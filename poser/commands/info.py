@@ -10,6 +10,7 @@ from poser import files, options
 from poser.console import DONE, emit, say
 
 if TYPE_CHECKING:
+    from mocap.findings import Finding
     from mocap.formats import Document
     from mocap.recording import RawRecording, Recording
 
@@ -34,12 +35,12 @@ def run(args: Namespace) -> int:
 
 def _untold(doc: Document) -> list[str]:
     """The warnings beside those about missing samples, which are told sensor by sensor."""
-    from mocap.formats._checks import gap_report
-    from mocap.motion import Motion
+    from mocap.words import sentence
 
-    content = doc.content
-    gaps = [] if isinstance(content, Motion) else gap_report(content.valid, content.sensors)
-    return [text for text in doc.warnings if text not in gaps]
+    def gap(finding: Finding) -> bool:
+        return finding.code == "missing-samples" and finding.details["what"] is None
+
+    return [sentence(f) for f in doc.doubts if not gap(f)]
 
 
 def describe(doc: Document) -> dict[str, Any]:

@@ -231,7 +231,7 @@ def _source(args: Namespace, origin: Origin, network: str) -> tuple[Source, Orig
 
 def _replay(args: Namespace, origin: Origin, recording: Recording, network: str) -> Source:
     from poser.live import sinks
-    from poser.live.samples import Replay
+    from poser.live.samples import RecordingSource
 
     for text in args.sink:
         kind, _ = sinks.chosen(text)
@@ -249,7 +249,7 @@ def _replay(args: Namespace, origin: Origin, recording: Recording, network: str)
         if some:
             found = estimators.used(network, names)
             estimators.check_devices(network, estimators.at_once(network, found, recording))
-        return Replay(recording.select(names), args.speed)
+        return RecordingSource(recording.select(names), args.speed)
 
 
 def _announce(
@@ -295,7 +295,7 @@ def _announce_devices(args: Namespace, origin: Origin, source: Network, network:
 
 def _sink(text: str, source: Source, skeleton: Skeleton, args: Namespace) -> Sink:
     from poser.live import sinks
-    from poser.live.sinks.protocol import Told
+    from poser.live.sinks.protocol import SinkOrder
 
     kind, rest = sinks.chosen(text)
-    return kind.make(Told(rest, source.rate_hz, skeleton, args.port))
+    return kind.make(SinkOrder(rest, source.rate_hz, skeleton, args.port))

@@ -84,7 +84,7 @@ def _train(args: Namespace, settings: TrainSettings) -> int:
     from learned import checkpoint
     from learned.training import parallel
     from learned.training.trainer import Trainer
-    from learned.training.virtual import Windows
+    from learned.training.virtual_windows import Windows
 
     start = None
     if args.start:

@@ -18,7 +18,7 @@ import numpy as np
 
 from mocap import orientation as ori
 from mocap.calibration import Calibration, PoseName, calibrate
-from mocap.calibration.static_pose import Window, average
+from mocap.calibration.static_pose import StillWindow, average
 from mocap.errors import CalibrationError, FormatError
 from mocap.estimator import Sample
 from mocap.formats._files import check_regular, read_text
@@ -193,7 +193,7 @@ class PoseWatch:
 
 
 def _still(raw: RawRecording) -> bool:
-    mean = average(raw, Window(0, len(raw), 0.0, True, False))
+    mean = average(raw, StillWindow(0, len(raw), 0.0, True, False))
     return bool(max(mean.moved_deg.max(), mean.wobble_deg.max()) < STILL_DEG)
 
 

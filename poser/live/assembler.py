@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from mocap import orientation as ori
 from mocap.motion import check_rate
 from mocap.orientation import Array
-from poser.live.clock import DeviceClock, PacketNumbers
+from poser.live.device_clock import DeviceClock, Pace, PacketNumbers
 from poser.live.packets import Packet
 
 SILENT_S = 0.5  # a device unheard for so long is not waited for
@@ -113,6 +113,7 @@ class _Stream:
     def __init__(self) -> None:
         self.sender = _Sender()
         self.clock = DeviceClock()
+        self.pace = Pace()
         self.numbers = PacketNumbers()
         self.kept: list[_Kept] = []
         self.heard_s = -np.inf
@@ -129,10 +130,11 @@ class _Stream:
             return
         if heard == "new":
             # His clock and his numbers are his own.
-            self.clock, lost = DeviceClock(), self.numbers.lost
+            self.clock, self.pace, lost = DeviceClock(), Pace(), self.numbers.lost
             self.numbers = PacketNumbers(lost)
             self.kept.clear()
         counts.received += 1
+        self.pace.hear(packet.time_s, arrival_s)
         # Of a packet whose time is refused, forged or wrong, nothing may stay: else its number would pass for
         # heard, and the real one that has it for its double.
         word = self.clock.hear(packet.time_s, arrival_s, since_s)
@@ -251,6 +253,11 @@ class Assembler:
     def counts(self) -> dict[str, Counts]:
         """What happened to each device's packets so far."""
         return {name: stream.counts for name, stream in self._streams.items()}
+
+    @property
+    def paces(self) -> dict[str, float | None]:
+        """How many s of each device's clock pass in one of ours, as far as known."""
+        return {name: stream.pace.value for name, stream in self._streams.items()}
 
     def silent(self, now_s: float) -> tuple[str, ...]:
         """Devices unheard for SILENT_S."""

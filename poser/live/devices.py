@@ -11,7 +11,7 @@ since ranging goes on for as long as both devices are near; screen and proximity
 so that the last word holds, however old. Nothing here tells a phone held to the ear: without the call's
 state it looks like one in a pocket.
 
-`step` is a pure function over an explicit state; `Tracker` feeds it from rows and messages.
+`step` is a pure function over an explicit state; `DeviceTracker` feeds it from rows and messages.
 """
 
 from __future__ import annotations
@@ -172,7 +172,7 @@ def _settle(device: Device, place: str | None, time_s: float, connected: bool) -
     return device
 
 
-class Tracker:
+class DeviceTracker:
     """Feeds `step` from the rows of the assembler and the messages of the devices.
 
     changes: how often a device changed its place so far.

@@ -18,7 +18,7 @@ LOOK_S = 0.05
 
 
 @dataclass
-class Seen:
+class PacketCount:
     """One device's packets: how many, the first and the last, of how many the acceleration came with them."""
 
     packets: int = 0
@@ -38,7 +38,7 @@ class Listing:
 
     def __init__(self, intake: Intake, clock: Callable[[], float] = time.monotonic):
         self._intake, self._clock = intake, clock
-        self.devices: dict[str, Seen] = {}
+        self.devices: dict[str, PacketCount] = {}
 
     def open(self) -> None:
         """Begin. Raises PoserError where the intake cannot be opened."""
@@ -55,7 +55,7 @@ class Listing:
         if packet.device not in self.devices and len(self.devices) >= MAX_DEVICES:
             self._intake.rejected["too many devices"] += 1
             return
-        seen = self.devices.setdefault(packet.device, Seen(first_s=arrival_s))
+        seen = self.devices.setdefault(packet.device, PacketCount(first_s=arrival_s))
         seen.packets += 1
         seen.last_s = arrival_s
         seen.felt += packet.acc_world is not None and bool(
@@ -68,7 +68,7 @@ class Listing:
         names = [*self.devices, *(n for n in told if n not in self.devices)]
         rows = {}
         for name in names:
-            seen = self.devices.get(name, Seen())
+            seen = self.devices.get(name, PacketCount())
             rows[name] = {
                 "place": places.get(name, name if name in PLACES else None),
                 "packets": seen.packets, "rate_hz": seen.rate_hz,

@@ -130,7 +130,15 @@ def _network(
     found = intake(kind, origin, args, sensors)
     recorder = None if args.record is None else _recorder(args, kind, found, where, own)
     return Network(
-        found, assembler, sensors, where, aligner, tracker, args.seconds, recorder=recorder
+        found,
+        assembler,
+        sensors,
+        where,
+        aligner,
+        tracker,
+        args.seconds,
+        recorder=recorder,
+        up=args.up,
     )
 
 
@@ -191,21 +199,21 @@ def _where(args: Namespace, sensors: tuple[str, ...], kind: Kind) -> dict[str, s
 def _tracker(args: Namespace) -> Any:
     if not args.devices:
         return None
-    from poser.live.devices import Preferences, Tracker
+    from poser.live.devices import DeviceTracker, Preferences
 
     words = args.devices.split(",")
     if len(words) != 3 or not set(words) <= {"left", "right"}:
         raise UsageError(f"argument --devices: {args.devices!r} is not three times left or right")
     if args.map:
         raise UsageError("argument --devices: not with --map; devices are phone, watch and earbuds")
-    return Tracker(Preferences(*words), args.rate)  # type: ignore[arg-type]
+    return DeviceTracker(Preferences(*words), args.rate)  # type: ignore[arg-type]
 
 
 def _aligner(args: Namespace, sensors: tuple[str, ...], own: bool, kind: Kind) -> Aligner:
     """The constants of a file, or who waits for the pose, or nothing for bones."""
     from poser.live import alignment
     from poser.live.aligner import Aligner
-    from poser.live.headings import HeadingWatch
+    from poser.live.device_headings import HeadingWatch
 
     how = calibration(args, kind)
     if args.reset is not None and how in ("n", "t", "bones"):
@@ -244,7 +252,7 @@ def _resets(
     """What finds constants, at the start and while the session runs: by standing still in the pose; and by
     walking, where each device has a heading of its own."""
     from poser.live.alignment import PoseWatch
-    from poser.live.headings import HeadingWatch, WalkWatch
+    from poser.live.device_headings import HeadingWatch, WalkWatch
 
     def standing(known: Calibration | None, begin_s: float) -> Watch:
         if own and known is not None:

@@ -32,7 +32,8 @@ from mocap.orientation import Array
 MAX_DATAGRAM = 8192  # bytes; 17 sensors in one datagram take 2.5 kB
 MAX_MESSAGES = 64  # in a datagram: a suit has 17 sensors, and each message costs time
 MAX_NAME = 64
-MAX_TIME_S = 1e11  # a clock in microseconds since 1970 sent as seconds is refused
+MAX_TIME_S = 1e11  # a clock in milliseconds since 1970 sent as seconds is refused
+TIME_TOO_LARGE = "time out of range"
 MAX_DISTANCE_M = 1000.0
 MAX_DISTANCES = 16
 UNIT_TOLERANCE = 0.01
@@ -109,7 +110,10 @@ def _not_finite(_: str) -> float:
 
 def from_fields(fields: Mapping[str, Any]) -> Packet:
     """The packet of a decoded message. Raises Rejected."""
-    device, time_s = _name(fields.get("device")), number(fields.get("t"), MAX_TIME_S)
+    device, time_s = (
+        _name(fields.get("device")),
+        number(fields.get("t"), MAX_TIME_S, TIME_TOO_LARGE),
+    )
     status = _status(fields)
     if "q" not in fields:
         if status is None:
@@ -136,8 +140,8 @@ def rotation(wxyz: Array) -> Array:
     )
 
 
-def number(value: Any, limit: float) -> float:
-    """A finite number within +-limit; True is none. Raises Rejected."""
+def number(value: Any, limit: float, beyond: str = "out of range") -> float:
+    """A finite number within +-limit; True is none. Raises Rejected, for `beyond` where it is larger."""
     if value is None:
         raise Rejected("field missing")
     if isinstance(value, bool) or not isinstance(value, int | float):
@@ -145,7 +149,7 @@ def number(value: Any, limit: float) -> float:
     if isinstance(value, float) and not math.isfinite(value):
         raise Rejected("not finite")
     if abs(value) > limit:
-        raise Rejected("out of range")
+        raise Rejected(beyond)
     return float(value)
 
 

@@ -23,7 +23,7 @@ POLL_S = 0.005
 CATCH_UP = 0.1
 LOOKS = 10  # one after the other that do not empty the socket: then rows wait for it no longer
 Decoder = Callable[[bytes], Iterator[Packet | Rejected]]
-Clock = Callable[[], float]
+Now = Callable[[], float]
 
 
 def y_up(decode: Decoder) -> Decoder:
@@ -70,7 +70,7 @@ class Receiver:
     ended = False  # who listens cannot know
     _stamped = False  # datagrams tell when they came
 
-    def __init__(self, address: Address, decode: Decoder, clock: Clock = time.monotonic):
+    def __init__(self, address: Address, decode: Decoder, clock: Now = time.monotonic):
         family, self._to = resolved(address, f"cannot listen on {address}", socket.SOCK_DGRAM)
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)

@@ -10,14 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.calibration import Calibration
+from mocap.errors import CalibrationError
 from mocap.estimator import Sample, samples
+from mocap.findings import Finding
 from mocap.orientation import Array
 from mocap.recording import Recording
+from poser.live import sender_words, senders
 from poser.live.aligner import Aligner
 from poser.live.alignment import to_sample
 from poser.live.assembler import Assembler, Row
-from poser.live.devices import Tracker
-from poser.live.receiver import Clock
+from poser.live.devices import DeviceTracker
+from poser.live.packets import TIME_TOO_LARGE
+from poser.live.receiver import Now
 from poser.live.recorder import Recorder
 from poser.live.sources.protocol import Intake, Witness
 
@@ -79,14 +83,14 @@ class Source(Protocol):
     def close(self) -> None: ...
 
 
-class Replay:
+class RecordingSource:
     """The samples of a recording when they are due. speed: 2 is twice as fast, None as fast as asked."""
 
     def __init__(
         self,
         recording: Recording,
         speed: float | None = 1.0,
-        clock: Clock = time.monotonic,
+        clock: Now = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ):
         self.rate_hz, self._recording = recording.rate_hz, recording
@@ -149,7 +153,8 @@ class Network:
 
     where: the place of each device; a device that is not in it is refused. aligner: knows the constants of
     devices, or that there are none; no sample before it does. tracker: tells instead of `where` which devices
-    are worn, and where. seconds: end so long after `open`. recorder: keeps the rows as they come.
+    are worn, and where. seconds: end so long after `open`. recorder: keeps the rows as they come. up: the
+    senders' vertical axis, as the intake was told. doubts: what senders do wrong, as it was found.
     """
 
     def __init__(
@@ -159,10 +164,11 @@ class Network:
         sensors: tuple[str, ...],
         where: Mapping[str, str],
         aligner: Aligner | None = None,
-        tracker: Tracker | None = None,
+        tracker: DeviceTracker | None = None,
         seconds: float | None = None,
-        clock: Clock = time.monotonic,
+        clock: Now = time.monotonic,
         recorder: Recorder | None = None,
+        up: str = "y",
     ):
         self.rate_hz, self.sensors = assembler.rate_hz, sensors
         self.joint: NDArray[np.int64] | None = None
@@ -173,6 +179,10 @@ class Network:
         self._seconds, self._end_s = seconds, np.inf
         self._heard: set[str] = set()
         self._unknown: list[str] = []
+        self.doubts: list[Finding] = []
+        names = assembler.devices
+        trunk = [where.get(n) in senders.TRUNK for n in names]
+        self._watchman = senders.Watchman(names, trunk, self.rate_hz, up)
 
     def read(self, sensors: tuple[str, ...]) -> None:
         self.sensors = sensors
@@ -196,6 +206,7 @@ class Network:
                 self._tracker.hear(packet.device, packet.status)
             if packet.R_world_sensor is not None:
                 self._assembler.push(packet, arrival, since)
+        self._judge_times()
         if self._intake.ended:
             # The rows behind the last packet are not waited for.
             self._end_s = min(self._end_s, self._clock() + self._assembler.delay_s)
@@ -205,8 +216,9 @@ class Network:
             self._recorder.take(rows, self._whole)
         due: list[Sample] = []
         for row in rows:
+            self._judge(row)
             turns = self.turns
-            if not self._aligner.push(row):
+            if not self._aligned(row):
                 continue
             if self.turns != turns:
                 due.clear()  # of the world before
@@ -227,6 +239,27 @@ class Network:
         name = device.encode("ascii", "backslashreplace").decode()
         if len(self._unknown) < MOST_UNKNOWN and name not in self._unknown:
             self._unknown.append(name)
+
+    def _judge_times(self) -> None:
+        told = {(f.code, f.sensor) for f in self.doubts}
+        found = senders.clocks(self._assembler.paces, self._intake.rejected[TIME_TOO_LARGE])
+        self.doubts += [f for f in found if (f.code, f.sensor) not in told]
+
+    def _judge(self, row: Row) -> None:
+        """Raises CalibrationError where a pose is waited for that wrong accelerations would spoil."""
+        for finding in self._watchman.take(row, self.waiting):
+            self.doubts.append(finding)
+            if finding.severity == "error" and self.waiting:
+                raise CalibrationError(sender_words.sentence(finding))
+
+    def _aligned(self, row: Row) -> bool:
+        """Whether the constants are known; where they are not found, with what is known of the senders."""
+        try:
+            return self._aligner.push(row)
+        except CalibrationError as e:
+            raise CalibrationError(
+                "; ".join([str(e), *map(sender_words.sentence, self.doubts)])
+            ) from e
 
     def _sample(self, row: Row) -> Sample:
         where = self._where

@@ -11,6 +11,7 @@ from typing import Any, Protocol, runtime_checkable
 
 from mocap.calibration import Calibration
 from poser.console import complain, say, table
+from poser.live import sender_words
 from poser.live.loop import Report
 from poser.live.samples import MOST_UNKNOWN, Network, Source
 from poser.live.sinks.protocol import Sink
@@ -25,7 +26,7 @@ BEHIND_S = (
 
 
 @runtime_checkable
-class Listener(Protocol):
+class StatusListener(Protocol):
     """A sink that shows the line, as the viewer does."""
 
     def tell(self, text: str) -> None: ...
@@ -43,13 +44,14 @@ class Teller:
     ):
         self._source, self._clock = source, clock
         self._told, self._began = -STATUS_S, clock()
-        self._listeners = [s for s in sinks if isinstance(s, Listener)]
+        self._listeners = [s for s in sinks if isinstance(s, StatusListener)]
         self._terminal = sys.stderr is not None and sys.stderr.isatty()
         self._asked_missing = self._asked_unknown = not isinstance(source, Network)
         self._led: str | None = None
         self._checked: Calibration | None = None
         self._trouble = ""
         self._doubled: set[str] = set()
+        self._doubts = 0
 
     def tell(self, report: Report) -> None:
         now = self._clock()
@@ -60,6 +62,7 @@ class Teller:
             self._lead(self._source)
             self._check(self._source)
             self._double(self._source)
+            self._doubt(self._source)
             if now - self._began >= PATIENCE_S:
                 self._ask(self._source)
         if not (self._terminal or self._listeners):
@@ -80,7 +83,7 @@ class Teller:
                 self._complain(f"not reset: {self._trouble}")
         if source.calibration is None or source.calibration is self._checked:
             return
-        from mocap.calibration import words
+        from mocap import words
 
         self._checked = found = source.calibration
         self._complain(f"calibrated; where you face: {found.method}")
@@ -96,6 +99,12 @@ class Teller:
                 self._complain(
                     f"a second sender calls itself {name}: the first one is heard, until it falls silent"
                 )
+
+    def _doubt(self, source: Network) -> None:
+        """What the senders do wrong, each once."""
+        for finding in source.doubts[self._doubts :]:
+            self._complain(f"{finding.severity}: {sender_words.sentence(finding)}")
+        self._doubts = len(source.doubts)
 
     def _lead(self, source: Network) -> None:
         """Where no line counts the seconds down: a sentence for each thing that the wearer is to do, behind

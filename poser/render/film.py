@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
@@ -169,7 +170,8 @@ def write_gif(path: Path, pictures: Iterator[Image.Image], fps: float) -> None:
 def write_mp4(
     path: Path, pictures: Iterator[Image.Image], fps: float, size: tuple[int, int]
 ) -> None:
-    """H.264 in MP4, by ffmpeg. Raises PoserError where its package is absent, or where it fails."""
+    """H.264 in MP4, by ffmpeg. Raises PoserError where its package is absent, OSError where it fails or the
+    film is not whole: of a full disk, ffmpeg tells nothing that its package passes on."""
     try:
         import imageio_ffmpeg
     except ImportError as e:
@@ -181,10 +183,23 @@ def write_mp4(
         quality=8, macro_block_size=2, ffmpeg_log_level="error",
         output_params=["-movflags", "+faststart"],
     )  # fmt: skip
+    sent = 0
     try:
         with closing(film):
             film.send(None)
             for picture in pictures:
                 film.send(picture.tobytes())
+                sent += 1
     except OSError as e:
-        raise PoserError(f"ffmpeg could not write the film: {str(e).splitlines()[0]}") from e
+        raise OSError(
+            errno.EIO, f"ffmpeg could not write the film: {str(e).splitlines()[0]}"
+        ) from e
+    try:
+        there, _ = imageio_ffmpeg.count_frames_and_secs(str(path))
+    except RuntimeError:
+        there = 0
+    if there != sent:
+        raise OSError(
+            errno.EIO,
+            f"ffmpeg wrote {there} of {sent} pictures that can be read; is the disk full?",
+        )

@@ -9,7 +9,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from poser.report import film
+from poser.report import skeletons
 from poser.report.results import Compared, rows
 from poser.report.templating import fill
 
@@ -34,7 +34,7 @@ def page(
         header=header,
         body=body,
         failures=failures,
-        player=film.section(recordings),
+        player=skeletons.section(recordings),
         pictures=[_picture(path, caption) for path, caption in pictures],
         each=[_one(r) for r in recordings] if len(recordings) > 1 else [],
         facts=facts,

@@ -33,7 +33,7 @@ def joint_colour(joint: str) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class Result:
+class MethodResult:
     """One method on one recording. figures: what the method reports of itself (see `poser solve`)."""
 
     motion: Motion
@@ -54,7 +54,7 @@ class Compared:
 
     name: str
     reference: str
-    methods: Mapping[str, Result]
+    methods: Mapping[str, MethodResult]
     truth: Motion
     failed: Mapping[str, str] = field(default_factory=dict)
 

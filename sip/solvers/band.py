@@ -180,13 +180,6 @@ class Factor:
         ]
         return self._back_solve(y - (self.border @ u)[..., None])[..., 0], u
 
-    def log_det(self) -> float:
-        """Logarithm of the determinant of the factored matrix."""
-        out = 2 * float(np.log(np.einsum("tii->ti", self.diag)).sum())
-        if self.schur is not None:
-            out += 2 * float(np.log(np.diag(self.schur)).sum())
-        return out
-
     def corner_inverse(self) -> Array:
         """The block (g,g) of H^-1 that belongs to the border: their posterior covariance."""
         inverse = lapack.dpotri(self.schur, lower=1)[0]

@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 from mocap import orientation as ori
 from mocap.orientation import Array
 from sip.solvers.band import Band
-from sip.terms.base import Point, add_pairs
+from sip.terms.base import Point, Term, add_pairs
 
 
-class Acceleration:
+class Acceleration(Term):
     """Residual (T-2,S,3) in sigmas, of frames 1..T-2 (SIP, eq. 8; the stencil is DIP's eq. 3).
 
     Pseudo-Huber on the norm of each sensor's vector: cost delta^2 (sqrt(1 + |r|^2/delta^2) - 1), delta in
@@ -19,7 +19,7 @@ class Acceleration:
     sigma: m/s^2. valid (T,S). R_meas, acc_meas: as measured, zero where invalid.
     """
 
-    name, reach, constant = "acceleration", 2, False
+    name, reach = "acceleration", 2
 
     def __init__(
         self,

@@ -6,11 +6,10 @@ import numpy as np
 
 from mocap.orientation import Array
 from sip.kinematics import BODY
-from sip.solvers.band import Band
-from sip.terms.base import Point, squared
+from sip.terms.base import Point, Stencil, Term
 
 
-class PosePrior:
+class PosePrior(Term):
     """Residual (T,b): weight L^T (theta - mu), L L^T = (Sigma + floor^2 I)^-1, theta the b active body
     angles.
 
@@ -19,34 +18,27 @@ class PosePrior:
     independent.
     """
 
-    name, reach, constant = "prior", 0, True
+    name, constant = "prior", True
 
     def __init__(self, mean: Array, covariance: Array, floor: float, weight: float):
         self.mean = mean
         precision = np.linalg.inv(covariance + floor**2 * np.eye(len(mean)))
         self.L = weight * np.linalg.cholesky(precision)
-        self.H = self.L @ self.L.T
 
     def residual(self, point: Point) -> Array:
         return (point.x[:, BODY] - self.mean) @ self.L
 
-    def loss(self, residual: Array) -> float:
-        return squared(residual)
-
-    def pullback(self, point: Point, v: Array, grad: Array, grad_u: Array) -> None:
-        grad[:, BODY] += v @ self.L.T
-
-    def hessian(self, point: Point, band: Band) -> None:
-        band.blocks[:, 0, BODY, BODY] += self.H
+    def stencil(self, point: Point) -> Stencil:
+        return Stencil({0: self.L.T[None]}, BODY)
 
 
-class Limits:
+class Limits(Term):
     """Residual (T,b): how far each body angle is past its limit, over sigma; zero inside.
 
     lower, upper (b,) rad; sigma rad. One-sided: max(0, theta - upper) - max(0, lower - theta).
     """
 
-    name, reach, constant = "limits", 0, False
+    name = "limits"
 
     def __init__(self, lower: Array, upper: Array, sigma: float):
         self.lower, self.upper, self.sigma = lower, upper, sigma
@@ -55,13 +47,6 @@ class Limits:
         theta = point.x[:, BODY]
         return (theta - np.clip(theta, self.lower, self.upper)) / self.sigma
 
-    def loss(self, residual: Array) -> float:
-        return squared(residual)
-
-    def pullback(self, point: Point, v: Array, grad: Array, grad_u: Array) -> None:
-        grad[:, BODY] += np.where(self.residual(point) != 0, v, 0.0) / self.sigma
-
-    def hessian(self, point: Point, band: Band) -> None:
-        past = self.residual(point) != 0
-        index = np.arange(6, point.x.shape[1])
-        band.blocks[:, 0, index, index] += past / self.sigma**2
+    def stencil(self, point: Point) -> Stencil:
+        past = (self.residual(point) != 0).astype(float)
+        return Stencil({0: past}, BODY, 1 / self.sigma, diagonal=True)

@@ -8,10 +8,10 @@ from scipy.linalg import lapack
 from mocap.errors import SolveError
 from mocap.orientation import Array
 from sip.solvers.band import Band
-from sip.terms.base import Point, squared
+from sip.terms.base import Point, Term
 
 
-class Arrival:
+class Arrival(Term):
     """Residual R d + z, d = [x - x_at of the first m frames; u - u_at].
 
     R (c,c) upper triangular, c = m n + g; z (c,): the square root of a quadratic about the point of
@@ -37,9 +37,6 @@ class Arrival:
 
     def residual(self, point: Point) -> Array:
         return self.R @ self._offset(point) + self.z
-
-    def loss(self, residual: Array) -> float:
-        return squared(residual)
 
     def pullback(self, point: Point, v: Array, grad: Array, grad_u: Array) -> None:
         pulled, m = self.R.T @ v, len(self.x_at)

@@ -7,17 +7,17 @@ import numpy as np
 from mocap.orientation import Array
 from sip.soles import Soles
 from sip.solvers.band import Band
-from sip.terms.base import Point, add_pairs, squared
+from sip.terms.base import Point, Term, add_pairs
 
 
-class Contact:
+class Contact(Term):
     """Residual (T-1,P,3) in sigmas: velocity of the sole's points over sigma (m/s), weighted by the belief
     w (T-1,P) that each stands, which is that of the pose the solve came from (`sip.soles.standing`).
 
     Nothing is said about where the ground lies: a stance on a stair or a chair is one like any other.
     """
 
-    name, reach, constant = "contact", 1, False
+    name, reach = "contact", 1
 
     def __init__(self, soles: Soles, stands: Array, sigma: float, rate_hz: float):
         self.soles = soles
@@ -25,9 +25,6 @@ class Contact:
 
     def residual(self, point: Point) -> Array:
         return np.diff(self.soles.places(point.x, point.R_ref), axis=0) * self.weight
-
-    def loss(self, residual: Array) -> float:
-        return squared(residual)
 
     def pullback(self, point: Point, v: Array, grad: Array, grad_u: Array) -> None:
         J = self._slopes(point)

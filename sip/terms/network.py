@@ -13,7 +13,7 @@ from sip.belief import FrameBeliefs
 from sip.kinematics import ROOT_W
 from sip.over_frames import OverFrames
 from sip.solvers.band import Band
-from sip.terms.base import Point, squared
+from sip.terms.base import Point, Term
 
 
 @cache
@@ -28,12 +28,12 @@ def _functions() -> tuple[OverFrames, OverFrames]:
     )
 
 
-class NetworkPose:
+class NetworkPose(Term):
     """Residual (T,3a) in sigmas, of the a joints that the belief is about: the whitened rotation vectors from
     the network's joints to the model's; correlated as the network's errors are.
     """
 
-    name, reach, constant = "network", 0, False
+    name = "network"
 
     def __init__(self, belief: FrameBeliefs):
         self.belief = belief
@@ -58,9 +58,6 @@ class NetworkPose:
             out = _functions()[1](*self._inputs(point))[0][:, 1:]
             point.kept[self] = out.reshape(len(point.x), -1, 3, 3)
         return np.asarray(point.kept[self])
-
-    def loss(self, residual: Array) -> float:
-        return squared(residual)
 
     def pullback(self, point: Point, v: Array, grad: Array, grad_u: Array) -> None:
         J = self._slopes(point)

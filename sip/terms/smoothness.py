@@ -9,8 +9,7 @@ from mocap.orientation import Array
 from sip import kinematics as kin
 from sip.kinematics import ROOT_P, ROOT_W
 from sip.over_frames import OverFrames
-from sip.solvers.band import Band
-from sip.terms.base import Point, add_diagonal_stencil, add_stencil, difference_stencil, squared
+from sip.terms.base import Point, Stencil, Term, difference_stencil
 
 
 def _apply(stencil: dict[int, float], x: Array) -> Array:
@@ -21,7 +20,7 @@ def _apply(stencil: dict[int, float], x: Array) -> Array:
     return np.sum([c * x[o : o + M] for o, c in stencil.items()], axis=0)
 
 
-class LinearSmoothness:
+class LinearSmoothness(Term):
     """Residual (T-order, c): difference of the given order of some columns of x, times rate^order / sigma.
 
     order 2: angular or linear acceleration, sigma in rad/s^2 or m/s^2; order 3: jerk, sigma per s^3.
@@ -32,38 +31,29 @@ class LinearSmoothness:
 
     def __init__(self, name: str, columns: slice, order: int, sigma: Array, rate_hz: float):
         self.name, self.columns, self.reach = name, columns, order
-        self.stencil = difference_stencil(order)
+        self.coefficients = difference_stencil(order)
         self.weight = rate_hz**order / np.asarray(sigma, float)
 
     def residual(self, point: Point) -> Array:
-        return _apply(self.stencil, point.x[:, self.columns]) * self.weight
+        return _apply(self.coefficients, point.x[:, self.columns]) * self.weight
 
-    def loss(self, residual: Array) -> float:
-        return squared(residual)
-
-    def pullback(self, point: Point, v: Array, grad: Array, grad_u: Array) -> None:
-        v = v * self.weight
-        for o, c in self.stencil.items():
-            grad[o : o + len(v), self.columns] += c * v
-
-    def hessian(self, point: Point, band: Band) -> None:
-        M = len(point.x) - self.reach
-        if M > 0:
-            add_diagonal_stencil(band, self.stencil, self.weight, self.columns, M)
+    def stencil(self, point: Point) -> Stencil:
+        blocks = {o: np.full((1, len(self.weight)), c) for o, c in self.coefficients.items()}
+        return Stencil(blocks, self.columns, self.weight, diagonal=True)
 
 
-class RootSmoothness:
+class RootSmoothness(Term):
     """Residual (T-order,3): difference of order-1 of the root's angular velocity, over sigma.
 
     Velocity v_t = Log(R_t^T R_{t+1}) rate in the body's frame; R_t = R_ref_t Exp(w_t). sigma in rad/s^2
     (order 2) or rad/s^3 (order 3).
     """
 
-    name, constant = "smoothness", False
+    name = "smoothness"
 
     def __init__(self, order: int, sigma: float, rate_hz: float):
         self.reach = order
-        self.stencil = difference_stencil(order - 1)
+        self.coefficients = difference_stencil(order - 1)
         self.weight = rate_hz**order / sigma
         w0, w1 = ca.SX.sym("w0", 3), ca.SX.sym("w1", 3)
         M = ca.SX.sym("M", 3, 3)  # R_ref_t^T R_ref_{t+1}
@@ -82,37 +72,27 @@ class RootSmoothness:
         if len(point.x) <= self.reach:
             return np.zeros((0, 3))
         v = self._value(*self._inputs(point))[0][:, 0]
-        return _apply(self.stencil, v) * self.weight
+        return _apply(self.coefficients, v) * self.weight
 
-    def loss(self, residual: Array) -> float:
-        return squared(residual)
+    def stencil(self, point: Point) -> Stencil:
+        if self not in point.kept:
+            point.kept[self] = self._jacobians(point)
+        return Stencil(point.kept[self], ROOT_W, self.weight)
 
     def _jacobians(self, point: Point) -> dict[int, Array]:
-        if self in point.kept:
-            return dict(point.kept[self])
-        A, B = (np.swapaxes(a, -1, -2) for a in self._slopes(*self._inputs(point)))
         M = len(point.x) - self.reach
         J = {o: np.zeros((M, 3, 3)) for o in range(self.reach + 1)}
-        for o, c in self.stencil.items():
-            J[o] += c * A[o : o + M] * self.weight
-            J[o + 1] += c * B[o : o + M] * self.weight
-        point.kept[self] = J
+        A, B = (np.swapaxes(a, -1, -2) for a in self._slopes(*self._inputs(point)))
+        for o, c in self.coefficients.items():
+            J[o] += c * A[o : o + M]
+            J[o + 1] += c * B[o : o + M]
         return J
 
-    def pullback(self, point: Point, v: Array, grad: Array, grad_u: Array) -> None:
-        if len(point.x) > self.reach:
-            for o, J in self._jacobians(point).items():
-                grad[o : o + len(v), ROOT_W] += np.einsum("ti,tic->tc", v, J)
 
-    def hessian(self, point: Point, band: Band) -> None:
-        if len(point.x) > self.reach:
-            add_stencil(band, self._jacobians(point), ROOT_W)
-
-
-class Gauge:
+class Gauge(Term):
     """Residual (T,3): root position over sigma (100 m): nothing measures where the person stands."""
 
-    name, reach, constant = "gauge", 0, True
+    name, constant = "gauge", True
 
     def __init__(self, sigma: float):
         self.sigma = sigma
@@ -120,11 +100,5 @@ class Gauge:
     def residual(self, point: Point) -> Array:
         return point.x[:, ROOT_P] / self.sigma
 
-    def loss(self, residual: Array) -> float:
-        return squared(residual)
-
-    def pullback(self, point: Point, v: Array, grad: Array, grad_u: Array) -> None:
-        grad[:, ROOT_P] += v / self.sigma
-
-    def hessian(self, point: Point, band: Band) -> None:
-        band.blocks[:, 0, [0, 1, 2], [0, 1, 2]] += 1 / self.sigma**2
+    def stencil(self, point: Point) -> Stencil:
+        return Stencil({0: np.ones((1, 3))}, ROOT_P, 1 / self.sigma, diagonal=True)

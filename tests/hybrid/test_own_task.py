@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hybrid import Tracker, TrackerState, rotations, tasks
-from hybrid.tasks import Evidence, Frame, Task, Term
+from hybrid.tasks import Frame, Residual, Task, TaskResult
 from mocap import Motion, Recording, synthesis
 from mocap import sensors as places
 from mocap.estimator import samples
@@ -40,11 +40,11 @@ class HeadLevel(Task):
     def __init__(self, sigma: float = 0.01) -> None:
         self.sigma = sigma
 
-    def term(self, frame: Frame) -> Term:
+    def term(self, frame: Frame) -> Residual:
         head = frame.at.on(15)
         up = head.R_world_bone[:, 1]
         J = -rotations.hat(up) @ head.J_rotation
-        return Term(up[[0, 2]] / self.sigma, J[[0, 2]] / self.sigma)
+        return Residual(up[[0, 2]] / self.sigma, J[[0, 2]] / self.sigma)
 
 
 def tilt_deg(motion: Motion) -> float:
@@ -82,8 +82,8 @@ class Counting(Task):
     def start(self, worn: Any) -> tuple[int, int]:
         return 0, 0
 
-    def evidence(self, frame: Frame, state: tuple[int, int]) -> Evidence:
-        return Evidence(None, (state[0] + 1, state[1]), {"counted": 1})
+    def evidence(self, frame: Frame, state: tuple[int, int]) -> TaskResult:
+        return TaskResult(None, (state[0] + 1, state[1]), {"counted": 1})
 
     def follow(self, frame: Frame, state: tuple[int, int], dv: Any) -> tuple[Any, dict[str, int]]:
         assert dv.shape == (len(frame.worn.free), 3)
@@ -106,14 +106,14 @@ def test_a_task_that_fails_gives_the_networks_pose_and_its_name(
     truth: Motion, recording: Recording, how: str
 ) -> None:
     class Broken(Task):
-        def term(self, frame: Frame) -> Term | None:
+        def term(self, frame: Frame) -> Residual | None:
             n = frame.whitener.shape[1]
             if how == "raises":
                 raise KeyError("head")
             if how == "raises afterwards":
                 return None
             width = n + 1 if how == "another width" else n
-            return Term(np.zeros(2), np.full((2, width), np.nan))
+            return Residual(np.zeros(2), np.full((2, width), np.nan))
 
         def follow(self, frame: Frame, state: Any, dv: Any) -> tuple[Any, dict[str, int]]:
             if how == "raises afterwards":

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hybrid.box import box, in_rotation_vectors
-from hybrid.kinematics import Kinematics
+from hybrid.joint_box import box, in_rotation_vectors
 from hybrid.limits import ranges
-from hybrid.tasks import Term, orientation, position, prior
+from hybrid.point_kinematics import Kinematics
+from hybrid.tasks import Residual, orientation, position, prior
 from hybrid.tasks.task import normal_equations
 from hybrid.worn import free_joints
 from mocap import Skeleton
@@ -161,7 +161,7 @@ def test_position_jacobian_weight_and_gate(rng: np.random.Generator) -> None:
 
 def test_quadratic_in_rotation_vectors_is_the_same_cost(rng: np.random.Generator) -> None:
     F = 4
-    terms = [Term(rng.normal(size=m), rng.normal(size=(m, 3 * F))) for m in (6, 12)]
+    terms = [Residual(rng.normal(size=m), rng.normal(size=(m, 3 * F))) for m in (6, 12)]
     H, g = normal_equations(terms)
     B = ori.right_jacobian(rng.normal(size=(F, 3)))
     z = rng.normal(size=3 * F)

@@ -391,7 +391,7 @@ def test_a_rate_limit_holds_and_gives_way_to_nothing_but_limits(truth: Motion) -
 
 
 def test_settings_and_places_are_checked(truth: Motion) -> None:
-    with pytest.raises(PoserError, match="orientation_sigma_deg must be positive"):
+    with pytest.raises(PoserError, match="orientation_sigma_deg must be a finite number above 0"):
         single(orientation_sigma_deg=0)
     with pytest.raises(PoserError, match="24 values"):
         single(network_scale=(1.0, 2.0))

@@ -17,7 +17,7 @@ from learned.training.corpus import Corpus, pack
 from learned.training.settings import TrainSettings
 from learned.training.trainer import Trainer
 from learned.training.validation import Windowed, cut
-from learned.training.virtual import Windows
+from learned.training.virtual_windows import Windows
 from mocap import orientation as ori
 from mocap import sensors as places
 from mocap import synthesis

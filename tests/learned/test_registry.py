@@ -17,7 +17,7 @@ from learned import checkpoint
 from learned.config import Config, for_network
 from learned.errors import CheckpointError
 from learned.model import Model, build
-from learned.online.estimator import NetworkPose
+from learned.online.estimator import NetworkEstimate
 from learned.registry import NETWORKS, specification
 from learned.spec import Specification, named
 from learned.training.corpus import pack
@@ -25,7 +25,7 @@ from learned.training.export import export
 from learned.training.settings import TrainSettings
 from learned.training.trainer import Trainer
 from learned.training.validation import cut_for, recordings
-from learned.training.virtual import Windows
+from learned.training.virtual_windows import Windows
 from learned.tree import from_6d, to_6d
 from mocap import sensors as places
 from mocap.errors import PoserError
@@ -85,7 +85,7 @@ class ToyWindow:
     def tick(self, state: Any, R: Any, acc: Any, present: Any, jumped: bool) -> tuple[Any, Any]:
         sensors = torch.as_tensor(R).float()
         pose = self.model.pose(self.model(sensors.flatten()), sensors)
-        return state, NetworkPose(pose.double().numpy(), np.full((24, 3), 0.3))
+        return state, NetworkEstimate(pose.double().numpy(), np.full((24, 3), 0.3))
 
 
 @pytest.fixture

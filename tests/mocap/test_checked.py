@@ -8,7 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
+import learned
+import sip
+from hybrid import Tracker
 from hybrid.motion_filter import FilterNoise
 from hybrid.settings import TrackerSettings
 from learned.training.settings import TrainSettings
@@ -60,6 +64,52 @@ def test_wrong_classes() -> None:
             metrics.evaluate(other, motion)  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize("value", [None, 3, "walk.npz"])
+def test_entrances_name_what_they_were_given(value: Any) -> None:
+    motion = motions.builtin(seconds=1.0)
+    recording = synthesis.recording(motion)
+    calls: dict[str, Callable[[], Any]] = {
+        "solve: recording": lambda: sip.solve(value),
+        "evaluate: recording": lambda: metrics.evaluate(motion, motion, recording=value or 3),
+        "Tracker: network": lambda: Tracker(value),
+        "stream: model": lambda: learned.stream(value, 60.0),
+        "sensors": lambda: replace(recording, sensors=value),
+        "valid": lambda: replace(recording, valid=value or 3),
+        "trusted": lambda: replace(motion, trusted=value or 3),
+    }
+    for name, call in calls.items():
+        with pytest.raises(PoserError, match=name):
+            call()
+
+
+def test_tensors_without_numbers() -> None:
+    """Torch's device meta has shapes alone, and a tensor that needs gradients gives its numbers to none."""
+    recording = synthesis.recording(motions.builtin(seconds=1.0))
+    for name in ("R_world_bone", "acc_world", "valid", "joint", "placement"):
+        shape = getattr(recording, name).shape
+        with pytest.raises(PoserError, match=rf"{name} must be .*meta"):
+            replace(recording, **{name: torch.zeros(shape, device="meta")})
+    with pytest.raises(PoserError, match=r"acc_world must be .*grad"):
+        replace(recording, acc_world=torch.zeros(recording.acc_world.shape, requires_grad=True))
+    with torch.device("meta"):
+        model = learned.build(learned.for_network("imuposer"))
+    with pytest.raises(PoserError, match="meta"):
+        learned.stream(model, 60.0)
+
+
+def test_spoiled_rotations_are_counted_and_invalid() -> None:
+    recording = synthesis.recording(motions.builtin(seconds=1.0))
+    R = np.array(recording.R_world_bone)
+    R[3, 0], R[5:7, 2] = 0.0, 2 * np.eye(3)
+    found = replace(recording, R_world_bone=R)
+    assert found.no_rotation.tolist() == [1, 0, 2, 0, 0, 0]
+    assert (recording.valid & ~found.valid).sum() == 3
+    assert np.isnan(found.R_world_bone[3, 0]).all() and np.isnan(found.acc_world[5, 2]).all()
+    assert replace(found, valid=None).no_rotation.sum() == 0
+    with pytest.raises(PoserError, match=r"left-handed .* as are 58 of 58"):
+        replace(recording, R_world_bone=np.swapaxes(R, -1, -2) @ np.diag([1.0, 1.0, -1.0]))
+
+
 @pytest.mark.parametrize("value", [None, "abc", [[1.0], [1.0, 2.0]]])
 def test_arrays(value: Any) -> None:
     with pytest.raises(PoserError, match="R_parent_joint"):
@@ -90,3 +140,6 @@ def test_motions_of_other_times_are_not_compared() -> None:
         metrics.evaluate(later, replace(motion, start_s=7.0))
     assert metrics.evaluate(later, replace(motion, start_s=5.01)).sip_deg == 0
     assert metrics.evaluate(later, motion).sip_deg == 0  # nobody says when it was
+    recording = replace(synthesis.recording(motion), start_s=9.0, reference=None)
+    with pytest.raises(PoserError, match=r"recording at 9 s"):
+        metrics.evaluate(later, None, recording=recording, seen=("head",))

@@ -35,7 +35,7 @@ def test_the_readers_doubts_are_diagnostics(
     words = ["calibrate", str(tmp_path / "a.npz"), "-o", str(tmp_path / "b.npz"), "--no-strict"]
     found = answer(*words)["diagnostics"]
     text = "sensor head: orientation turns the mean acceleration to"
-    (doubt,) = [f for f in found if f["code"] == "reader"]
+    (doubt,) = [f for f in found if f["code"] == "not-upright"]
     assert doubt["severity"] == "warning" and doubt["sentence"].startswith("sensor head: ")
     assert text in doubt["sentence"] and doubt["sensor"] == "head"
     assert main(words) == 0

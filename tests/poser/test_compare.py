@@ -19,7 +19,7 @@ from mocap.motion import Motion
 from mocap.synthesis import motions, staging
 from poser import comparison, estimators
 from poser.__main__ import main
-from poser.report import film, results
+from poser.report import results, skeletons
 
 FAST = ("--solver", "banded", "--methods", "sop,sip")
 
@@ -268,7 +268,7 @@ def test_worst_frames_are_apart_and_in_order() -> None:
     for t, angle in ((20, 0.5), (21, 0.49), (150, 0.9)):
         wrong[t, 1] = wrong[t, 1] @ ori.exp([angle, 0, 0])
     bad = Motion(truth.rate_hz, wrong, truth.p_world_root, truth.skeleton)
-    result = results.Result(bad, metrics.evaluate(bad, truth))
+    result = results.MethodResult(bad, metrics.evaluate(bad, truth))
     found = results.Compared("x", "y", {"sip": result}, truth)
     assert comparison.worst_frames(found, "sip", 2) == [150, 20]
 
@@ -278,8 +278,8 @@ def test_player_holds_the_joints_to_the_millimetre() -> None:
     import re
 
     truth = short("walk").slice(0, 60)
-    result = results.Result(truth, metrics.evaluate(truth, truth))
-    text = film.section([results.Compared("</script>", "y", {"sip": result}, truth)])
+    result = results.MethodResult(truth, metrics.evaluate(truth, truth))
+    text = skeletons.section([results.Compared("</script>", "y", {"sip": result}, truth)])
     found = re.search(r'id="player-data">(.*?)</script>', text, flags=re.S)
     assert found is not None
     data = json.loads(found.group(1))

@@ -38,12 +38,12 @@ def instant(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def method(
         job: comparison.Job, name: str, reference: Motion, tell: Callable[..., None]
-    ) -> results.Result:
+    ) -> results.MethodResult:
         seen = comparison.read_by(job, name)
         if name == "sip" and len(seen) == 3:
             raise PoserError("three are not enough")
         found = metrics.evaluate(reference, reference, recording=job.recording, seen=seen)
-        return results.Result(reference, found, {"used_sensors": list(seen)})
+        return results.MethodResult(reference, found, {"used_sensors": list(seen)})
 
     monkeypatch.setattr(comparison, "_method", method)
     for name in ("pairs", "joints", "errors"):

@@ -15,8 +15,7 @@ from sip import Settings, initial
 from sip import kinematics as kin
 from sip.problem import Problem, build, reference_root
 from sip.sensor_kinematics import SensorKinematics
-from sip.solvers.band import Band
-from sip.terms.base import Point, add_stencil
+from sip.terms.base import Point, Stencil, Term
 from tests.sip.conftest import wavy
 
 VARIANTS = [
@@ -30,10 +29,10 @@ VARIANTS = [
 ]
 
 
-class Bent:
-    """A term of one's own: residual (T-1,) x[t] - 2 x[t+1] of one column, which couples two frames."""
+class Bent(Term):
+    """A term of one's own: residual (T-1,) sin x[t] - 2 x[t+1] of one column, which couples two frames."""
 
-    name, reach, constant = "bent", 1, False
+    name, reach = "bent", 1
 
     def __init__(self, column: int) -> None:
         self.column = column
@@ -42,17 +41,9 @@ class Bent:
         x = point.x[:, self.column]
         return np.sin(x[:-1]) - 2 * x[1:]
 
-    def loss(self, residual: Array) -> float:
-        return 0.5 * float(residual @ residual)
-
-    def pullback(self, point: Point, v: Array, grad: Array, grad_u: Array) -> None:
-        grad[:-1, self.column] += np.cos(point.x[:-1, self.column]) * v
-        grad[1:, self.column] -= 2 * v
-
-    def hessian(self, point: Point, band: Band) -> None:
+    def stencil(self, point: Point) -> Stencil:
         slope = np.cos(point.x[:-1, self.column])
-        J = {0: slope[:, None, None], 1: np.full((len(slope), 1, 1), -2.0)}
-        add_stencil(band, J, slice(self.column, self.column + 1))
+        return Stencil({0: slope[:, None, None], 1: np.full((1, 1, 1), -2.0)}, [self.column])
 
 
 def away(

@@ -6,7 +6,7 @@ import numpy as np
 
 from mocap import orientation as ori
 from mocap.calibration.evidence import Evidence
-from mocap.calibration.static_pose import NEVER_STILL, Window
+from mocap.calibration.static_pose import NEVER_STILL, StillWindow
 from mocap.findings import Finding, Severity
 from mocap.orientation import Array
 from mocap.recording import RawRecording, gaps
@@ -59,7 +59,7 @@ def check(evidence: Evidence) -> list[Finding]:
     return found
 
 
-def _moved(raw: RawRecording, window: Window, s: int) -> tuple[float, float] | None:
+def _moved(raw: RawRecording, window: StillWindow, s: int) -> tuple[float, float] | None:
     """Angle in deg between the means before and after the moment that parts them most clearly, and its sigma.
 
     Wobble of variance v per sample and correlation time WOBBLE_S changes by 2 v (1 - e^(-dt / WOBBLE_S)) from
@@ -87,7 +87,7 @@ def _moved(raw: RawRecording, window: Window, s: int) -> tuple[float, float] | N
     return float(moved[k]), float(sigma[k])
 
 
-def _jump(raw: RawRecording, window: Window, s: int) -> tuple[int, float] | None:
+def _jump(raw: RawRecording, window: StillWindow, s: int) -> tuple[int, float] | None:
     """Frame and deg of the largest turn within the window that gyr does not explain, if there is one.
 
     Of R_{t-1}^T R_t; whether gyr of a file belongs to the step before a sample or after it, is not known.
@@ -109,7 +109,7 @@ def _jump(raw: RawRecording, window: Window, s: int) -> tuple[int, float] | None
     return None
 
 
-def _unseen_deg(raw: RawRecording, window: Window) -> Array:
+def _unseen_deg(raw: RawRecording, window: StillWindow) -> Array:
     """How far, in deg, each sensor (S,) may have turned unseen in gaps that bear on the window, 1 sigma.
 
     A gap of d s between rates of w rad/s (root mean square over 0.1 s to either side) hides about w d; the

@@ -6,16 +6,16 @@ import importlib
 from collections.abc import Iterator
 from pathlib import Path
 
-from poser.live.sinks.protocol import Kind
+from poser.live.sinks.protocol import SinkKind
 
 NAMES: tuple[str, ...] = ("motion_file", "vmc", "vrchat", "lsl", "rerun", "viewer")
 """The kinds, in the order in which they are told."""
 
 
-def kinds() -> Iterator[Kind]:
+def kinds() -> Iterator[SinkKind]:
     """All of them."""
     for name in NAMES:
-        found: Kind = importlib.import_module(f"poser.live.sinks.{name}").SINK
+        found: SinkKind = importlib.import_module(f"poser.live.sinks.{name}").SINK
         yield found
 
 
@@ -30,7 +30,7 @@ def suffixes() -> tuple[str, ...]:
     return tuple(s for k in kinds() for s in k.suffixes)
 
 
-def chosen(text: str) -> tuple[Kind, str]:
+def chosen(text: str) -> tuple[SinkKind, str]:
     """The kind that a word on the command line means, and what stands behind its name.
 
     Whatever is no kind's name is a file, whose suffix may turn out to be none of `suffixes`.

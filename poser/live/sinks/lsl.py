@@ -15,8 +15,8 @@ from mocap.errors import PoserError
 from mocap.estimator import Pose
 from mocap.skeleton import JOINTS, Skeleton
 from poser.console import UsageError
-from poser.live.clock import WINDOW_S
-from poser.live.sinks.protocol import Kind, Sink, Told
+from poser.live.device_clock import WINDOW_S
+from poser.live.sinks.protocol import Sink, SinkKind, SinkOrder
 
 STREAMS = (
     ("rotations", ("qw", "qx", "qy", "qz"), "normalized"),
@@ -75,10 +75,10 @@ class LslSink:
         return {"pushed": self.pushed}
 
 
-def _make(told: Told) -> Sink:
+def _make(told: SinkOrder) -> Sink:
     if told.text:
         raise UsageError("argument --sink: lsl has no address")
     return LslSink(told.skeleton, told.rate_hz, library())
 
 
-SINK = Kind("lsl", "lsl", "Lab Streaming Layer: rotations and positions", _make)
+SINK = SinkKind("lsl", "lsl", "Lab Streaming Layer: rotations and positions", _make)

@@ -14,7 +14,7 @@ from mocap.orientation import Array
 from mocap.skeleton import JOINTS, PARENTS, Skeleton
 from poser import files
 from poser.exports import SUFFIXES
-from poser.live.sinks.protocol import Kind, Sink, Told
+from poser.live.sinks.protocol import Sink, SinkKind, SinkOrder
 from poser.live.spool import Spool
 
 
@@ -60,11 +60,11 @@ def _write(path: Path, head: Mapping[str, Any], rows: Array) -> None:
     files.write(path, Motion(head["rate_hz"], R, rows[:, -3:].astype(float), skeleton))
 
 
-def _make(told: Told) -> Sink:
+def _make(told: SinkOrder) -> Sink:
     path = Path(told.text)
     files.check_output(path, [], SUFFIXES)
     return MotionFile(path, told.rate_hz, told.skeleton)
 
 
 _SPELLING = ", ".join(f"FILE{suffix}" for suffix in SUFFIXES)
-SINK = Kind("file", _SPELLING, "a motion file, written at the end", _make, SUFFIXES)
+SINK = SinkKind("file", _SPELLING, "a motion file, written at the end", _make, SUFFIXES)

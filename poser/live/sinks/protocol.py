@@ -1,5 +1,4 @@
-"""What takes poses. A new kind is one module in this folder with `SINK = Kind(...)`, and its name in `NAMES`
-of the folder's `__init__`."""
+"""What takes poses. A new kind is one module in this folder with `SINK = SinkKind(...)`."""
 
 from __future__ import annotations
 
@@ -22,7 +21,7 @@ class Sink(Protocol):
 
 
 @dataclass(frozen=True)
-class Told:
+class SinkOrder:
     """What a sink is made from: text is what stands behind the kind's name, or the path of a file.
 
     rate_hz: of the poses. port: where a viewer is served.
@@ -35,12 +34,12 @@ class Told:
 
 
 @dataclass(frozen=True)
-class Kind:
+class SinkKind:
     """A kind of sink. spelling: as it is written; words: what it is, in a line; suffixes: of a kind that
     writes files, which is chosen by them and has no name on the command line."""
 
     name: str
     spelling: str
     words: str
-    make: Callable[[Told], Sink]
+    make: Callable[[SinkOrder], Sink]
     suffixes: tuple[str, ...] = ()

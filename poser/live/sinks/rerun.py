@@ -12,7 +12,7 @@ from mocap.estimator import Pose
 from mocap.formats._files import write_aside
 from mocap.skeleton import JOINTS, PARENTS, Skeleton
 from poser import files
-from poser.live.sinks.protocol import Kind, Sink, Told
+from poser.live.sinks.protocol import Sink, SinkKind, SinkOrder
 
 SUFFIXES = (".rrd",)
 
@@ -59,10 +59,10 @@ class RerunFile:
         return {"frames": self.frames}
 
 
-def _make(told: Told) -> Sink:
+def _make(told: SinkOrder) -> Sink:
     path = Path(told.text)
     files.check_output(path, [], SUFFIXES)
     return RerunFile(path, told.skeleton, library())
 
 
-SINK = Kind("rerun", "FILE.rrd", "a recording for the Rerun viewer", _make, SUFFIXES)
+SINK = SinkKind("rerun", "FILE.rrd", "a recording for the Rerun viewer", _make, SUFFIXES)

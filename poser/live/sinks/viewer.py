@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from poser.console import UsageError
-from poser.live.sinks.protocol import Kind, Sink, Told
+from poser.live.sinks.protocol import Sink, SinkKind, SinkOrder
 
 
-def _make(told: Told) -> Sink:
+def _make(told: SinkOrder) -> Sink:
     from poser.viewer.live import ViewerSink
 
     if told.text:
@@ -14,4 +14,4 @@ def _make(told: Told) -> Sink:
     return ViewerSink(told.skeleton, told.port)
 
 
-SINK = Kind("viewer", "viewer", "in the browser", _make)
+SINK = SinkKind("viewer", "viewer", "in the browser", _make)

@@ -21,9 +21,9 @@ from mocap import orientation as ori
 from mocap.estimator import Pose
 from mocap.orientation import Array
 from mocap.skeleton import JOINTS, Skeleton
-from poser.live import osc
+from poser.live import osc_messages
 from poser.live.addresses import Address, parse, resolved
-from poser.live.sinks.protocol import Kind, Sink, Told
+from poser.live.sinks.protocol import Sink, SinkKind, SinkOrder
 
 _SIDED = {"hip": "UpperLeg", "knee": "LowerLeg", "ankle": "Foot", "foot": "Toes", "collar": "Shoulder",
           "shoulder": "UpperArm", "elbow": "LowerArm", "wrist": "Hand"}  # fmt: skip
@@ -83,7 +83,7 @@ class OscSink:
     """
 
     def __init__(self, kind: str, address: Address, encode: Callable[[Pose], list[bytes]]):
-        osc.library()
+        osc_messages.library()
         self.name = f"{kind}:{address}"
         self._encode = encode
         # Once: a look-up of a name may take as long as many frames.
@@ -111,8 +111,8 @@ def sink(address: Address, skeleton: Skeleton) -> OscSink:
     return OscSink("vmc", address, lambda pose: datagrams(pose, skeleton))
 
 
-def _make(told: Told) -> Sink:
+def _make(told: SinkOrder) -> Sink:
     return sink(parse(told.text, "argument --sink"), told.skeleton)
 
 
-SINK = Kind("vmc", "vmc:PORT, vmc:HOST:PORT", "VMC: Unity, Unreal, Blender, VSeeFace", _make)
+SINK = SinkKind("vmc", "vmc:PORT, vmc:HOST:PORT", "VMC: Unity, Unreal, Blender, VSeeFace", _make)

@@ -14,7 +14,7 @@ from mocap.estimator import Pose
 from mocap.orientation import Array
 from mocap.skeleton import JOINTS, Skeleton
 from poser.live.addresses import Address, parse_host
-from poser.live.sinks.protocol import Kind, Sink, Told
+from poser.live.sinks.protocol import Sink, SinkKind, SinkOrder
 from poser.live.sinks.vmc import OscSink
 
 PORT = 9000
@@ -64,8 +64,8 @@ def sink(address: Address, skeleton: Skeleton) -> OscSink:
     return OscSink("vrchat", address, lambda pose: datagrams(pose, skeleton))
 
 
-def _make(told: Told) -> Sink:
+def _make(told: SinkOrder) -> Sink:
     return sink(parse_host(told.text, PORT, "argument --sink"), told.skeleton)
 
 
-SINK = Kind("vrchat", "vrchat[:HOST[:PORT]]", "VRChat's OSC trackers", _make)
+SINK = SinkKind("vrchat", "vrchat[:HOST[:PORT]]", "VRChat's OSC trackers", _make)

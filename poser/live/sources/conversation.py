@@ -16,14 +16,14 @@ from typing import Any, Protocol
 from poser.live.addresses import Address
 from poser.live.heard import Heard
 from poser.live.packets import MAX_DATAGRAM, Packet, Rejected
-from poser.live.receiver import Clock, Receiver
+from poser.live.receiver import Now, Receiver
 
 TIMESTAMPS = 35  # SO_TIMESTAMPNS of Linux, which the standard library does not name
 TIMESPEC = struct.Struct("@ll")
 OLDEST_S = 10.0
 Sender = tuple[Any, ...]
 """A socket address."""
-Letter = tuple[bytes, Sender]
+Datagram = tuple[bytes, Sender]
 
 
 class Talker(Protocol):
@@ -37,7 +37,7 @@ class Talker(Protocol):
         """Packets that waited for something until now."""
         ...
 
-    def letters(self, now_s: float) -> Iterator[Letter]:
+    def letters(self, now_s: float) -> Iterator[Datagram]:
         """What is to be sent now, and to whom."""
         ...
 
@@ -47,7 +47,7 @@ class Talker(Protocol):
 class Conversation(Receiver):
     """The intake of a `Talker`."""
 
-    def __init__(self, address: Address, talker: Talker, clock: Clock):
+    def __init__(self, address: Address, talker: Talker, clock: Now):
         super().__init__(address, lambda _: iter(()), clock)
         self._talker = talker
         self._stamped = clock is time.monotonic and _stamps(self._socket)

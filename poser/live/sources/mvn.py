@@ -29,7 +29,7 @@ from mocap.orientation import Array
 from mocap.skeleton import Skeleton
 from poser.live.addresses import Address
 from poser.live.packets import SEQUENCE_MODULUS, UNIT_TOLERANCE, Packet, Rejected
-from poser.live.receiver import Clock, Receiver
+from poser.live.receiver import Now, Receiver
 from poser.live.sources.protocol import MAX_DEVICES, Intake, Kind, Told
 
 PORT = 9763
@@ -240,7 +240,7 @@ def _worn(sensors: Sequence[str]) -> dict[str, str]:
 class Suit(Receiver):
     """The intake, which knows the whole pose besides (`poser.live.sources.protocol.Witness`)."""
 
-    def __init__(self, address: Address, clock: Clock):
+    def __init__(self, address: Address, clock: Now):
         self._mvn = Mvn()
         super().__init__(address, self._mvn, clock)
 

@@ -13,7 +13,7 @@ from mocap.errors import PoserError
 from mocap.recording import Bool, RawRecording
 from poser.live.heard import Heard
 from poser.live.packets import SEQUENCE_MODULUS, Packet
-from poser.live.receiver import Clock
+from poser.live.receiver import Now
 from poser.live.sources.protocol import Intake, Kind, Told
 
 UP_G = np.array([0.0, ori.GRAVITY, 0.0])
@@ -28,7 +28,7 @@ class Playback:
     def __init__(
         self,
         raw: RawRecording,
-        clock: Clock = time.monotonic,
+        clock: Now = time.monotonic,
         again: bool = False,
         sleep: Callable[[float], None] = time.sleep,
     ):

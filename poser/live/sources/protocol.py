@@ -17,7 +17,7 @@ from mocap.orientation import Array
 from poser.live.addresses import Address
 from poser.live.heard import Heard
 from poser.live.packets import Packet
-from poser.live.receiver import Clock
+from poser.live.receiver import Now
 
 MAX_DEVICES = 32  # of one kind: their names are chosen by whoever sends
 
@@ -78,7 +78,7 @@ class Told:
     rate_hz: float
     countdown_s: float
     up: str
-    clock: Clock
+    clock: Now
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ from poser.live.packets import (
     number,
     rotation,
 )
-from poser.live.sources.conversation import Conversation, Letter, Sender, numeric
+from poser.live.sources.conversation import Conversation, Datagram, Sender, numeric
 from poser.live.sources.order import InOrder
 from poser.live.sources.protocol import MAX_DEVICES, Intake, Kind, Told
 
@@ -90,7 +90,7 @@ class SlimeVR:
     def __init__(self) -> None:
         self._boards: dict[Sender, _Board] = {}
         self._order = InOrder()
-        self._letters: list[Letter] = []
+        self._letters: list[Datagram] = []
         self._told_s = -np.inf
 
     def hear(self, datagram: bytes, sender: Sender, now_s: float) -> Iterator[Packet | Rejected]:
@@ -191,7 +191,7 @@ class SlimeVR:
                 if sensor.waiting is not None and now_s - sensor.waiting[0] >= HOLD_S:
                     yield _released(board, k, sensor)
 
-    def letters(self, now_s: float) -> Iterator[Letter]:
+    def letters(self, now_s: float) -> Iterator[Datagram]:
         waiting, self._letters = self._letters, []
         yield from waiting
         if now_s - self._told_s < EVERY_S:

@@ -14,7 +14,7 @@ from typing import Protocol
 
 from poser.live.heard import Heard
 from poser.live.packets import Packet, Rejected
-from poser.live.receiver import CATCH_UP, POLL_S, Clock, Reading
+from poser.live.receiver import CATCH_UP, POLL_S, Now, Reading
 
 LENGTH = 256  # letters that wait: seconds of batches
 
@@ -50,7 +50,7 @@ class Worker(Protocol):
 class Mailbox:
     """Where a thread leaves letters, and counts what it could not take."""
 
-    def __init__(self, clock: Clock):
+    def __init__(self, clock: Now):
         self._queue: queue.Queue[Letter] = queue.Queue(LENGTH)
         self._faults: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._clock = clock
@@ -86,7 +86,7 @@ class Threaded:
 
     ended = False
 
-    def __init__(self, reader: Reader, worker: Worker, clock: Clock = time.monotonic):
+    def __init__(self, reader: Reader, worker: Worker, clock: Now = time.monotonic):
         self._reader, self._worker, self._clock = reader, worker, clock
         self._box = Mailbox(clock)
         self._reading = Reading(clock())

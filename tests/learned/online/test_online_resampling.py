@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from learned.online import resampling
-from learned.online.estimator import NetworkPose, Online, standing
+from learned.online.estimator import NetworkEstimate, Online, standing
 from mocap import Motion, Recording, Skeleton, synthesis
 from mocap import orientation as ori
 from mocap.estimator import Sample, replay, samples
@@ -35,7 +35,7 @@ class Echo:
         acc: Array,
         present: NDArray[np.bool_],
         jumped: bool,
-    ) -> tuple[tuple[Array, ...], NetworkPose | None]:
+    ) -> tuple[tuple[Array, ...], NetworkEstimate | None]:
         self.seen.append((R, acc))
         assert np.isfinite(R).all() and np.isfinite(acc).all()
         state = (*(state or ()), R)[-self.future - 1 :]
@@ -43,7 +43,7 @@ class Echo:
             return state, None
         local = np.tile(np.eye(3), (24, 1, 1))
         local[:2] = state[0]
-        return state, NetworkPose(local, np.zeros((24, 3)))
+        return state, NetworkEstimate(local, np.zeros((24, 3)))
 
 
 def made(rate_hz: float, s: float = 1.0) -> Recording:
@@ -174,7 +174,7 @@ def test_what_stands_for_nothing_is_never_shown(rate_hz: float, late: int) -> No
 class Shy(Echo):
     """Knows nothing of its first three frames."""
 
-    def tick(self, *frame: Any) -> tuple[tuple[Array, ...], NetworkPose | None]:
+    def tick(self, *frame: Any) -> tuple[tuple[Array, ...], NetworkEstimate | None]:
         state, answer = super().tick(*frame)
         return state, answer if len(self.seen) > self.future + 3 else None
 

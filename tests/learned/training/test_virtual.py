@@ -11,7 +11,7 @@ import torch
 
 from learned.training.augmentation import Augmentation
 from learned.training.corpus import pack
-from learned.training.virtual import LEGS, Batch, cubic_weights, spline_coefficients
+from learned.training.virtual_windows import LEGS, Batch, cubic_weights, spline_coefficients
 from mocap import orientation as ori
 from mocap import sensors as places
 from mocap import synthesis

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mocap import formats
-from mocap.calibration.evidence import Evidence, Held, gather
+from mocap.calibration.evidence import Evidence, HeldPose, gather
 from mocap.calibration.static_pose import average, find_static
 from mocap.motion import Motion
 from mocap.recording import RawRecording
@@ -43,5 +43,5 @@ def posed(
     """With the static pose at a time in s, and a facing and its sigma in rad that are the same for all."""
     window, S = find_static(raw, at), len(raw.sensors)
     static = average(raw, window)
-    held = Held(window, static, name, 80.0, np.full(S, facing), np.full(S, sigma))
+    held = HeldPose(window, static, name, 80.0, np.full(S, facing), np.full(S, sigma))
     return replace(gather(raw), held=held)

@@ -93,12 +93,12 @@ NATIVE: Cases = {
         "frame 1, sensor pelvis: R_world_bone is left-handed",
     ),
     "recording not orthonormal": (
-        _npz(_REC, R_world_bone=lambda R: one(R, (9, 2), 1.3 * R[9, 2])),
-        "frame 9, sensor right_thigh: R_world_bone is not orthonormal",
+        _npz(_REC, R_world_bone=lambda R: 1.3 * R),
+        "frame 1, sensor pelvis: R_world_bone is not orthonormal .determinant 2.2, expected 1., as are 238",
     ),
     "not orthonormal": (
-        _npz(_RAW, R_world_sensor=lambda R: one(R, (9, 2), 1.3 * R[9, 2])),
-        "frame 9, sensor right_thigh: R_world_sensor is not a rotation",
+        _npz(_RAW, R_world_sensor=lambda R: 1.3 * R),
+        "frame 0, sensor pelvis: R_world_sensor is not orthonormal",
     ),
     "acc in g": (_npz(_RAW, acc=lambda a: a / 9.81), "so the unit is g"),
     "gyr in degrees": (_npz(_RAW, gyr=lambda a: a * DEG), "57 times what the orientation turns"),
@@ -124,11 +124,27 @@ NATIVE: Cases = {
     "raw empty": (lambda d: cut(_RAW(d), 0.0), "damaged or cut short"),
     "raw left-handed": (
         _npz(_RAW, R_world_sensor=lambda R: R @ LEFT_HANDED),
-        "frame 0, sensor pelvis: R_world_sensor is not a rotation .orthonormal, right-handed",
+        "frame 0, sensor pelvis: R_world_sensor is left-handed",
     ),
     "raw huge count": (_member(_RAW, "acc.npy", files.lying_npy((10**12,))), "declares 8000000000"),
     "not npy": (_member(_REC, "acc_world.npy", b"hello"), "damaged or cut short"),
 }  # fmt: skip
+
+
+@pytest.mark.parametrize(("make", "name"), [(_REC, "R_world_bone"), (_RAW, "R_world_sensor")])
+@pytest.mark.parametrize("spoiled", [1.3, -1.0, 1e30])
+def test_a_spoiled_rotation_is_a_missing_sample(
+    make: Callable[[Path], Path], name: str, spoiled: float, tmp_path: Path
+) -> None:
+    """Scaled, left-handed, huge: one of many is no reason to refuse the rest."""
+    path = _npz(make, **{name: lambda R: one(R, (9, 2), spoiled * R[9, 2])})(tmp_path)
+    doc = native.FORMAT.read(path, Options())
+    assert isinstance(doc.content, RawRecording | Recording)
+    assert not doc.content.valid[9, 2] and doc.content.no_rotation is not None
+    assert doc.content.no_rotation.tolist() == [0, 0, 1, 0, 0]
+    assert any(
+        "1 samples hold no rotation" in told and "right_thigh 1" in told for told in doc.warnings
+    )
 
 
 def test_zip_bomb(tmp_path: Path) -> None:

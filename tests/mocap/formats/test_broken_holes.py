@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from mocap import orientation as ori
 from mocap.formats import Document, Options, _holes, dip, totalcapture
 from mocap.recording import Recording
+from mocap.words import sentence
 from tests.mocap.formats import recording_files as files
 
 RATE, FRAMES = 60.0, 60
@@ -37,7 +38,7 @@ def test_a_short_hole_is_bridged_on_the_manifold() -> None:
     found = _holes.rotations(R, RATE)
     assert found.kept == slice(0, FRAMES)
     np.testing.assert_allclose(found.values, want, atol=1e-12)
-    assert found.notes == (
+    assert tuple(map(sentence, found.notes)) == (
         "11 poses of the reference are not finite: bridged, the longest hole 10 frames",
     )
 
@@ -49,7 +50,7 @@ def test_ends_and_what_lies_beyond_a_long_hole_are_cut_off() -> None:
     found = _holes.rotations(R, RATE)
     assert found.kept == slice(3, 40)
     np.testing.assert_array_equal(found.values, _turning()[3:40])
-    assert found.notes == (
+    assert tuple(map(sentence, found.notes)) == (
         "frames 0 to 2 and 40 to 59 of 60 are cut off: the reference has a hole there",
     )
 

@@ -9,6 +9,7 @@ import pytest
 
 from mocap.errors import FormatError
 from mocap.formats import _clock
+from mocap.words import sentence
 
 HERE = Path("take.csv")
 
@@ -18,7 +19,7 @@ def test_rounded_stamps(rng: np.random.Generator) -> None:
     found = _clock.grid(HERE, np.round(np.arange(600) / 60, 2))
     assert found.rate_hz == pytest.approx(60, rel=1e-3)
     assert (found.frames == np.arange(600)).all()
-    assert "jitter" in found.doubts[0]
+    assert "jitter" in sentence(found.doubts[0])
 
 
 def test_a_gap_among_jitter() -> None:
@@ -27,7 +28,7 @@ def test_a_gap_among_jitter() -> None:
     t = 3.0 + keep / 100 + rng.uniform(-0.002, 0.002, len(keep))
     found = _clock.grid(HERE, t)
     assert found.rate_hz == pytest.approx(100, rel=1e-2) and (found.frames == keep).all()
-    assert any("7 of 120 samples are missing" in d for d in found.doubts)
+    assert any("7 of 120 samples are missing" in sentence(d) for d in found.doubts)
 
 
 @pytest.mark.parametrize("rate_hz", [25.0, 60.0, 1000.0])
@@ -53,7 +54,7 @@ def test_losses_are_counted_and_placed(rng: np.random.Generator, sigma: float) -
     assert found.frames[-1] == k[-1] - k[0]
     off = np.abs(found.frames - (k - k[0]))
     assert off.max() <= 1 and (off > 0).mean() < 0.01
-    assert any(f"{n - len(k) - k[0] - (n - 1 - k[-1])} of" in d for d in found.doubts)
+    assert any(f"{n - len(k) - k[0] - (n - 1 - k[-1])} of" in sentence(d) for d in found.doubts)
 
 
 @pytest.mark.parametrize("jitter", [0.0, 0.2])
@@ -66,7 +67,7 @@ def test_a_clock_that_wanders_is_followed(rng: np.random.Generator, jitter: floa
     found = _clock.grid(HERE, t)
     assert (found.frames == k).all()
     assert found.rate_hz == pytest.approx((len(k) - 1) / (true[-1] - true[0]), rel=2e-4)
-    assert any("the clock wanders by up to" in d for d in found.doubts)
+    assert any("the clock wanders by up to" in sentence(d) for d in found.doubts)
     assert np.abs(found.slow_s - true).max() < 0.2 / 100
 
 

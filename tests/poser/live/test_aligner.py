@@ -21,7 +21,7 @@ from mocap.skeleton import Skeleton
 from mocap.synthesis import motions
 from poser.live import alignment, asking, loop
 from poser.live.aligner import Aligner
-from poser.live.headings import HeadingWatch, WalkWatch
+from poser.live.device_headings import HeadingWatch, WalkWatch
 from tests.poser.live.conftest import Hold
 from tests.poser.live.test_alignment import rows
 from tests.poser.live.test_headings import led, off_deg, strapped

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from mocap import orientation as ori
 from poser.live.assembler import Assembler, Row
-from poser.live.clock import JUMP_S, DeviceClock, PacketNumbers
+from poser.live.device_clock import JUMP_S, DeviceClock, PacketNumbers
 from poser.live.packets import Packet
 
 RATE = 50.0

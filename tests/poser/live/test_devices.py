@@ -17,10 +17,10 @@ from poser.live.devices import (
     PHONE,
     STILL_S,
     WATCH,
+    DeviceTracker,
     Preferences,
     Seen,
     State,
-    Tracker,
     step,
 )  # fmt: skip
 from poser.live.packets import Status
@@ -134,7 +134,7 @@ def test_accuracy_over_transitions() -> None:
 
 
 def test_the_tracker_reads_rows_and_messages() -> None:
-    tracker = Tracker(OWNER, rate_hz=25.0)
+    tracker = DeviceTracker(OWNER, rate_hz=25.0)
     devices = (WATCH, PHONE, EARBUDS)
     tracker.hear(PHONE, Status(screen=False, proximity=True))
     tracker.hear(WATCH, Status(distances={PHONE: 0.45}))
@@ -153,7 +153,7 @@ def test_the_tracker_reads_rows_and_messages() -> None:
     assert tracker.changes > changes
 
 
-def places_over(tracker: Tracker, begin_s: float, end_s: float) -> dict[str, str]:
+def places_over(tracker: DeviceTracker, begin_s: float, end_s: float) -> dict[str, str]:
     """Where the devices are at the end; watch and phone turn slowly all the while."""
     where: dict[str, str] = {}
     for k in range(round(begin_s * 25), round(end_s * 25)):
@@ -166,7 +166,7 @@ def places_over(tracker: Tracker, begin_s: float, end_s: float) -> dict[str, str
 @pytest.mark.parametrize("told_by", [WATCH, PHONE])
 def test_a_distance_expires_and_the_preference_holds_again(told_by: str) -> None:
     """The status stays: the phone is in a pocket as long as it says nothing else."""
-    tracker = Tracker(OWNER, rate_hz=25.0)
+    tracker = DeviceTracker(OWNER, rate_hz=25.0)
     tracker.hear(PHONE, Status(screen=False, proximity=True))
     other = WATCH if told_by == PHONE else PHONE
     tracker.hear(told_by, Status(distances={other: 0.45}))
@@ -179,7 +179,7 @@ def test_a_distance_expires_and_the_preference_holds_again(told_by: str) -> None
 
 
 def test_a_message_without_a_field_says_nothing_about_it() -> None:
-    tracker = Tracker(OWNER, rate_hz=25.0)
+    tracker = DeviceTracker(OWNER, rate_hz=25.0)
     tracker.hear(PHONE, Status(screen=False, proximity=True, distances={WATCH: 0.45}))
     tracker.hear(PHONE, Status(screen=False))
     assert places_over(tracker, 0.0, 2.0)[PHONE] == "right_pocket"

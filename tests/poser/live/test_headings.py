@@ -14,9 +14,9 @@ from mocap.errors import CalibrationError
 from mocap.motion import Motion
 from mocap.recording import RawRecording
 from mocap.synthesis import motions
-from poser.live import headings
+from poser.live import device_headings
 from poser.live.alignment import Watch
-from poser.live.headings import HeadingWatch, WalkWatch
+from poser.live.device_headings import HeadingWatch, WalkWatch
 from tests.poser.live.test_alignment import rows
 
 STANDS_S = 3.0
@@ -67,13 +67,13 @@ def off_deg(found: Calibration, raw: RawRecording, motion: Motion, at_s: float) 
 def test_standing_then_walking(walked: Motion, names: tuple[str, ...]) -> None:
     raw = strapped(walked, names, 1)
     found, at, prompts = led(WalkWatch(names, 60.0, "n", begin_s=0.5), raw)
-    assert headings.WALK_S < at < headings.WALK_S + 4 * headings.AGAIN_S
+    assert device_headings.WALK_S < at < device_headings.WALK_S + 4 * device_headings.AGAIN_S
     assert off_deg(found, raw, walked, at + 2.0).max() < 15
     assert [p.split()[0] for p in prompts] == ["get", "stand", "now"]
 
 
 def test_who_does_not_walk_is_told_so() -> None:
-    still = motions.stand(headings.GIVE_UP_S + 15.0)
+    still = motions.stand(device_headings.GIVE_UP_S + 15.0)
     raw = strapped(still, sensors.SIX, 2)
     with pytest.raises(CalibrationError):
         led(WalkWatch(sensors.SIX, 60.0, "n", begin_s=0.5), raw)

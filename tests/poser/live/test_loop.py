@@ -20,12 +20,12 @@ from mocap.motion import Motion
 from mocap.recording import Recording
 from mocap.skeleton import Skeleton
 from mocap.synthesis import motions
-from poser.live import loop, osc, packets, telling
+from poser.live import loop, osc_messages, packets, telling
 from poser.live.addresses import Address
 from poser.live.assembler import Assembler, Row
 from poser.live.receiver import Receiver, y_up
 from poser.live.recorder import Recorder
-from poser.live.samples import Network, Replay
+from poser.live.samples import Network, RecordingSource
 from poser.live.sinks.motion_file import MotionFile
 from tests.poser.live.conftest import Hold, packets_of
 
@@ -76,7 +76,7 @@ def drive(
 @pytest.mark.parametrize("speed", [1.0, 4.0, None])
 def test_a_replay_gives_what_the_batch_gives(recording: Recording, speed: float | None) -> None:
     clock, sink = Time(), Collect()
-    report = drive(Replay(recording, speed, clock, clock.sleep), [sink])
+    report = drive(RecordingSource(recording, speed, clock, clock.sleep), [sink])
     estimator, state = Hold(recording.rate_hz, recording.sensors), ()
     for pose, sample in zip(sink.poses, samples(recording), strict=True):
         state, expected = estimator.step(state, sample)
@@ -93,7 +93,7 @@ def test_a_replay_gives_what_the_batch_gives(recording: Recording, speed: float 
 
 def test_the_look_ahead_counts_as_latency(recording: Recording) -> None:
     clock = Time()
-    report = drive(Replay(recording, 1.0, clock, clock.sleep), [], look_ahead=5)
+    report = drive(RecordingSource(recording, 1.0, clock, clock.sleep), [], look_ahead=5)
     assert report.lag.quantile_ms(0.5) == pytest.approx(5e3 / 60, abs=3)
     # The poses that come at the end, pushed out at once, would flatter it.
     assert len(report.lag) == len(recording) - 5
@@ -106,7 +106,7 @@ def test_the_last_frames_come_out_whatever_the_look_ahead(
 ) -> None:
     """As many poses as samples, those of the batch form, even of fewer samples than the look-ahead."""
     short, sink = recording.slice(0, frames), Collect()
-    report = drive(Replay(short, None), [sink], look_ahead=5)
+    report = drive(RecordingSource(short, None), [sink], look_ahead=5)
     batch = replay(Hold(short.rate_hz, short.sensors, 5), short)
     assert report.frames == len(sink.poses) == frames
     R = np.stack([p.R_parent_joint for p in sink.poses])
@@ -133,7 +133,7 @@ def test_a_loop_that_is_too_slow_leaves_samples_out_and_says_so(
     """However many frames' time a frame takes: never later than the bound and a frame, to the end."""
     clock, report, sink, told = Time(), loop.Report(), Collect(), list[str]()
     long = synthesis.recording(motions.walk(8.0))
-    source = Replay(long, 1.0, clock, clock.sleep)
+    source = RecordingSource(long, 1.0, clock, clock.sleep)
     estimator = Slow(long.rate_hz, long.sensors)
     estimator.clock, estimator.takes_s = clock, takes / long.rate_hz
     source.open()
@@ -163,7 +163,7 @@ def test_an_estimator_that_can_hurry_is_told_how_late_it_is(recording: Recording
             return state
 
     clock = Time()
-    source = Replay(recording, 1.0, clock, clock.sleep)
+    source = RecordingSource(recording, 1.0, clock, clock.sleep)
     estimator, report = Hurries(recording.rate_hz, recording.sensors), loop.Report()
     estimator.clock = clock
     source.open()
@@ -174,7 +174,7 @@ def test_an_estimator_that_can_hurry_is_told_how_late_it_is(recording: Recording
 
 def test_the_body_stands_on_the_floor(recording: Recording) -> None:
     sink = Collect()
-    drive(Replay(recording, None), [sink])
+    drive(RecordingSource(recording, None), [sink])
     pose = sink.poses[0]
     _, p = BODY.forward(pose.R_parent_joint, pose.p_world_root)
     assert p[[10, 11], 1].min() == pytest.approx(0.02)
@@ -232,8 +232,8 @@ def free_port() -> int:
 @pytest.mark.parametrize("kind", ["udp", "osc"])
 def test_over_the_network(recording: Recording, free_port: int, kind: str) -> None:
     """What arrives is what was measured, a poll later at most."""
-    decode = packets.from_json if kind == "udp" else osc.from_osc
-    encode = line if kind == "udp" else osc.imu_message
+    decode = packets.from_json if kind == "udp" else osc_messages.from_osc
+    encode = line if kind == "udp" else osc_messages.imu_message
     sent = [(at, encode(p)) for at, p in packets_of(recording, start_s=1e5)]
     sensors, sink = recording.sensors, Collect()
     wire = Wire(free_port, sent)
@@ -346,7 +346,7 @@ def hostile(rng: np.random.Generator) -> Iterator[bytes]:
         yield rng.bytes(n)
 
 
-@pytest.mark.parametrize("decode", [packets.from_json, osc.from_osc])
+@pytest.mark.parametrize("decode", [packets.from_json, osc_messages.from_osc])
 def test_hostile_packets_are_counted_and_stop_nothing(
     decode: Any, free_port: int, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -367,8 +367,8 @@ def test_hostile_packets_are_counted_and_stop_nothing(
 
 def test_what_the_osc_library_raises_is_refused() -> None:
     rng = np.random.default_rng(0)
-    good = osc.imu_message(packets.Packet("head", 1.0, np.eye(3), np.zeros(3), 4))
-    [back] = osc.from_osc(good)
+    good = osc_messages.imu_message(packets.Packet("head", 1.0, np.eye(3), np.zeros(3), 4))
+    [back] = osc_messages.from_osc(good)
     assert isinstance(back, packets.Packet)
     assert (back.device, back.time_s, back.seq) == ("head", 1.0, 4)
     taken = 0
@@ -376,7 +376,7 @@ def test_what_the_osc_library_raises_is_refused() -> None:
         bad = bytearray(good)
         for at in rng.integers(0, len(good), size=3):
             bad[at] = rng.integers(256)
-        for found in osc.from_osc(bytes(bad[: rng.integers(1, len(bad) + 1)])):
+        for found in osc_messages.from_osc(bytes(bad[: rng.integers(1, len(bad) + 1)])):
             assert isinstance(found, packets.Packet | packets.Rejected)
             taken += isinstance(found, packets.Packet)
     assert taken < 1500
@@ -385,10 +385,10 @@ def test_what_the_osc_library_raises_is_refused() -> None:
 def test_status_over_osc() -> None:
     from pythonosc.osc_message_builder import OscMessageBuilder
 
-    message = OscMessageBuilder(osc.STATE)
+    message = OscMessageBuilder(osc_messages.STATE)
     for value, kind in (("phone", "s"), (2.0, "d"), (1, "i"), (0, "i"), ("watch", "s"), (0.5, "f")):
         message.add_arg(value, kind)
-    [packet] = osc.from_osc(message.build().dgram)
+    [packet] = osc_messages.from_osc(message.build().dgram)
     assert isinstance(packet, packets.Packet)
     assert packet.R_world_sensor is None and packet.status is not None
     assert (packet.status.screen, packet.status.proximity) == (True, False)
@@ -417,7 +417,7 @@ def test_a_taken_port_is_one_sentence(free_port: int) -> None:
 def test_the_motion_file_keeps_time(recording: Recording, tmp_path: Path) -> None:
     path = tmp_path / "m.npz"
     sink, whole = MotionFile(path, 60.0, BODY), Collect()
-    drive(Replay(recording, None), [whole])
+    drive(RecordingSource(recording, None), [whole])
     kept = [p for k, p in enumerate(whole.poses) if k not in (5, 6, 40)]
     for pose in kept:
         sink.write(pose)
@@ -439,15 +439,17 @@ def test_a_sink_that_cannot_close_does_not_keep_the_others(recording: Recording)
 
     good = Collect()
     with pytest.raises(OSError, match="No space"):
-        drive(Replay(recording, None), [Broken(), good])
+        drive(RecordingSource(recording, None), [Broken(), good])
     assert good.closed
 
 
 def test_a_short_window_and_headings_that_were_turned_back_are_told(recording: Recording) -> None:
     heading = {"head": 0.4, "left_forearm": -5.2}
     facts = {"window_frames": 12, "window_frames_most": 24, "heading_deg": heading}
-    line = telling.status(loop.Report(estimator=facts), Replay(recording, None))
+    line = telling.status(loop.Report(estimator=facts), RecordingSource(recording, None))
     assert "window of 12 of 24 frames" in line
     assert "turned back: left_forearm by -5 deg" in line and "head by" not in line
     whole = {"window_frames": 24, "window_frames_most": 24}
-    assert "window" not in telling.status(loop.Report(estimator=whole), Replay(recording, None))
+    assert "window" not in telling.status(
+        loop.Report(estimator=whole), RecordingSource(recording, None)
+    )

@@ -17,7 +17,7 @@ from poser.live import alignment, telling
 from poser.live.aligner import Aligner
 from poser.live.alignment import PoseWatch
 from poser.live.assembler import Assembler
-from poser.live.devices import Preferences, Tracker
+from poser.live.devices import DeviceTracker, Preferences
 from poser.live.heard import Heard
 from poser.live.loop import Report
 from poser.live.packets import Packet, Status
@@ -108,7 +108,7 @@ def test_a_phone_that_changes_places_moves_to_another_sensor() -> None:
     devices = ("watch", "phone", "earbuds")
     source = Network(
         script, Assembler(devices, RATE), sensors.FIVE, {}, clock=lambda: script.now,
-        tracker=Tracker(Preferences("right", "left", "left"), RATE),
+        tracker=DeviceTracker(Preferences("right", "left", "left"), RATE),
     )  # fmt: skip
     got = samples_of(script, source, 5.9)
     valid = np.array([s.valid for s in got])
@@ -169,7 +169,7 @@ def test_a_loop_that_stands_still_is_behind_by_so_much() -> None:
     assert source.behind_s(late[-1].time_s) == pytest.approx(0.0, abs=0.02)
 
 
-def listening(packets: list[tuple[float, Packet]], tracker: Tracker | None = None) -> Network:
+def listening(packets: list[tuple[float, Packet]], tracker: DeviceTracker | None = None) -> Network:
     """A network source that waits for the N-pose of six sensors, or for tracked devices."""
     script = Script(packets)
     devices = sensors.SIX if tracker is None else ("watch", "phone", "earbuds")
@@ -222,12 +222,12 @@ def test_who_sends_all_is_led_through_the_pose(capsys: pytest.CaptureFixture[str
 
 def test_tracked_devices_come_and_go(capsys: pytest.CaptureFixture[str]) -> None:
     """A watch alone is no fault; a device under another name is told the three that there are."""
-    tracker = Tracker(Preferences("right", "left", "left"), RATE)
+    tracker = DeviceTracker(Preferences("right", "left", "left"), RATE)
     source = listening(sent(["watch", "pixel"]), tracker)
     assert told(source, 8.0, capsys) == [
         "live: refused: unknown devices (pixel); with --devices they are named watch, phone, earbuds"
     ]
-    tracker = Tracker(Preferences("right", "left", "left"), RATE)
+    tracker = DeviceTracker(Preferences("right", "left", "left"), RATE)
     assert told(listening([], tracker), 8.0, capsys) == [
         "live: nothing came yet from watch, phone, earbuds"
     ]

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from mocap.recording import Recording
-from poser.live import osc, packets
+from poser.live import osc_messages, packets
 from poser.live.addresses import Address
 from poser.live.packets import Packet, Rejected
 from poser.live.receiver import CATCH_UP, LOOKS, POLL_S, Decoder, Receiver
@@ -170,15 +170,15 @@ def nested(levels: int) -> bytes:
     ],
 )
 def test_messages_of_an_osc_datagram_are_bounded(datagram: bytes, reasons: list[str]) -> None:
-    found = list(osc.from_osc(datagram))
+    found = list(osc_messages.from_osc(datagram))
     assert [f.reason for f in found if isinstance(f, Rejected)] == reasons
     assert len(found) == len(reasons)
 
 
 def test_messages_in_bundles_come_in_order() -> None:
     one, two, three = (
-        osc.imu_message(Packet("head", 0.0, np.eye(3), np.zeros(3), k)) for k in range(3)
+        osc_messages.imu_message(Packet("head", 0.0, np.eye(3), np.zeros(3), k)) for k in range(3)
     )
     inner = HEAD + element(one) + element(two)
-    found = list(osc.from_osc(HEAD + element(inner) + element(three)))
+    found = list(osc_messages.from_osc(HEAD + element(inner) + element(three)))
     assert [f.seq for f in found if isinstance(f, Packet)] == [0, 1, 2]

@@ -18,9 +18,9 @@ from mocap import synthesis
 from mocap.evaluation import metrics
 from mocap.motion import Motion
 from mocap.synthesis import motions
-from poser.report import film, pictures, results
 from poser.report import folder as reporting
 from poser.report import page as report
+from poser.report import pictures, results, skeletons
 
 START_S = 92.0
 
@@ -42,7 +42,7 @@ def compared(
     R = np.array(truth.R_parent_joint)
     R[:, 1] = R[:, 1] @ ori.exp(angle[:, None] * [1.0, 0.0, 0.0])
     bad = Motion(truth.rate_hz, R, truth.p_world_root, truth.skeleton, start_s=START_S)
-    result = results.Result(bad, metrics.evaluate(bad, truth))
+    result = results.MethodResult(bad, metrics.evaluate(bad, truth))
     # The reference does not state the clock, as one of another file may not.
     return results.Compared("walk", "a motion file", dict.fromkeys(methods, result), truth)
 
@@ -120,7 +120,7 @@ def test_slope_of_the_one_peak_is_no_second_worst_frame() -> None:
 
 
 def test_player_has_the_clock_and_the_page_names_the_chart(every: results.Compared) -> None:
-    html = film.section([every])
+    html = skeletons.section([every])
     found = re.search(r'id="player-data">(.*?)</script>', html, flags=re.DOTALL)
     assert found is not None
     assert json.loads(found[1])["recordings"][0]["start"] == START_S

@@ -18,7 +18,7 @@ import numpy as np
 from mocap import orientation as ori
 from mocap import sensors as places
 from mocap.calibration import Calibration, PoseName, calibrate
-from mocap.calibration.static_pose import Window, average
+from mocap.calibration.static_pose import StillWindow, average
 from mocap.errors import CalibrationError
 from mocap.stances import pose_bones
 from poser.live.alignment import PoseWatch, raw_recording
@@ -124,7 +124,7 @@ class HeadingWatch:
             return None
         names = self._stand.sensors
         at = [self._known.sensors.index(n) for n in names]
-        static = average(raw, Window(0, len(raw), 0.0, True, False))
+        static = average(raw, StillWindow(0, len(raw), 0.0, True, False))
         joints, _ = places.joints_and_seats(names)
         bones = pose_bones(joints, self._stand.pose, self._known.arm_angle_deg)
         mounted = self._known.R_bone_sensor[at]

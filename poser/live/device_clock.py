@@ -17,6 +17,7 @@ from poser.live.packets import SEQUENCE_MODULUS
 WINDOW_S = 10.0
 JUMP_S = 0.25  # an arrival further from its expected time is late, or the clock has jumped
 CONFIRM_S = 0.5  # a clock has jumped once its packets agree about it for this long
+PACE_S = 1.0  # over which a clock's pace is taken
 MAX_DROPOUT, MAX_MISORDER = 3000, 1000  # packet numbers; beyond, the device has started again
 
 
@@ -70,6 +71,28 @@ class DeviceClock:
         self._window.append((arrival_s, offset))
         while self._window[0][0] < arrival_s - WINDOW_S:
             self._window.popleft()
+
+
+class Pace:
+    """How many s of a device's clock pass in one of ours: its unit shows, and whether it stands."""
+
+    def __init__(self) -> None:
+        self._from: tuple[float, float] | None = None
+        self._last: float | None = None
+        self.value: float | None = None
+        """None until two spans of PACE_S agree; a device that starts again, or batches, makes none."""
+
+    def hear(self, time_s: float, arrival_s: float) -> None:
+        """Take note of a packet, whether or not its time is believed."""
+        if self._from is None:
+            self._from = (time_s, arrival_s)
+        passed = arrival_s - self._from[1]
+        if passed < PACE_S:
+            return
+        pace = (time_s - self._from[0]) / passed
+        last, self._last, self._from = self._last, pace, (time_s, arrival_s)
+        agree = last is not None and abs(pace - last) <= max(abs(pace), abs(last)) / 2
+        self.value = pace if agree else None
 
 
 class PacketNumbers:

@@ -1,62 +1,16 @@
-"""The sentences of calibration: what each finding says to a person, with its numbers, and what to do.
-
-One template or function for each code, from the finding's details; nothing else words them.
-"""
+"""What the checks of calibration find."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from mocap.findings import ORDER, Finding
+from mocap.findings import Words
 
 Details = dict[str, Any]
 AXES = "xyz"
-
-
-def sentence(finding: Finding) -> str:
-    """One sentence for a person; it begins with `sensor NAME: ` where it is about one sensor."""
-    if "said" in finding.details:
-        return str(finding.details["said"])
-    told = clause(finding)
-    return f"sensor {finding.sensor}: {told}" if _of_one(finding) else told
-
-
-def _of_one(finding: Finding) -> bool:
-    """Whether its sentence begins with its sensor; exchanged ones are named together."""
-    return finding.sensor is not None and finding.code != "swapped"
-
-
-def clause(finding: Finding) -> str:
-    """The sentence without the sensor's name at its beginning."""
-    if "said" in finding.details:
-        return str(finding.details["said"]).removeprefix(f"sensor {finding.sensor}: ")
-    words = _WORDS[finding.code]
-    if isinstance(words, str):
-        return words.format(**finding.details)
-    of_sensor = finding.sensor is not None
-    return words(dict(finding.details) | {"code": finding.code, "single": of_sensor})
-
-
-def summary(findings: Sequence[Finding]) -> str:
-    """One line: the findings of the worst severity, sensors with the same code named together."""
-    if not findings:
-        return "nothing doubtful"
-    worst = min(findings, key=lambda f: ORDER[f.severity]).severity
-    codes: dict[str, list[Finding]] = {}
-    for f in findings:
-        if f.severity == worst:
-            codes.setdefault(f.code, []).append(f)
-    parts = []
-    for group in codes.values():
-        if len(group) > 1 and _of_one(group[0]):
-            names = ", ".join(f.sensor or "" for f in group)
-            parts.append(f"sensors {names}: {clause(group[0])}")
-        else:
-            parts.append(sentence(group[0]))
-    return "; ".join(dict.fromkeys(parts))
 
 
 def _impossible(d: Details) -> str:
@@ -289,7 +243,7 @@ _TURNED = (
 )
 
 # A template of the details where one serves, else a function of them.
-_WORDS: dict[str, str | Callable[[Details], str]] = {
+WORDS: dict[str, Words] = {
     "impossible-sample": _impossible,
     "no-data": _no_data,
     "no-acc": _no_acc,
