@@ -74,7 +74,7 @@ class Playback:
 
 
 class Asleep:
-    """IMUPoser's runtime, but that it answers nothing for its first `frames` windows, which nobody looks at."""
+    """IMUPoser's runtime, which does no work for its first `frames` windows: nobody looks at them."""
 
     def __init__(self, runtime: Any, frames: int) -> None:
         self._runtime, self._left = runtime, frames
