@@ -170,8 +170,9 @@ SAME_MODULE = {
     "references": "reference motions, and the words about them",
 }
 # A network's folder has the same files; a check, a command and a page are named after what they are about.
-MIRRORS = ("learned/dip/", "learned/imuposer/", "learned/training/deviations", "mocap/calibration/checks/",
-           "poser/commands/", "poser/live/sources/", "poser/viewer/live")  # fmt: skip
+MIRRORS = (*(f"learned/{p.parent.name}/" for p in (ROOT / "learned").glob("*/specification.py")),
+           "learned/training/deviations", "mocap/calibration/checks/", "poser/commands/",
+           "poser/live/sources/", "poser/viewer/live")  # fmt: skip
 
 
 def repeated(names: dict[str, list[str]], allowed: dict[str, str]) -> dict[str, list[str]]:
