@@ -41,7 +41,7 @@ def y_up(decode: Decoder) -> Decoder:
     return turned
 
 
-class Reading:
+class Look:
     """Up to when all that came has been read: `read_s`, on the receiver's clock (`Intake.read_s`)."""
 
     def __init__(self, now_s: float):
@@ -79,7 +79,7 @@ class Receiver:
         self._address, self._decode, self._clock = address, decode, clock
         self._empty_s: float | None = None  # when nothing was left to take
         self._left_s = clock()  # when the last look ended
-        self._reading = Reading(self._left_s)
+        self._reading = Look(self._left_s)
         self.rejected: Counter[str] = Counter()
 
     def open(self) -> None:

@@ -14,7 +14,7 @@ from typing import Protocol
 
 from poser.live.heard import Heard
 from poser.live.packets import Packet, Rejected
-from poser.live.receiver import CATCH_UP, POLL_S, Now, Reading
+from poser.live.receiver import CATCH_UP, POLL_S, Look, Now
 
 LENGTH = 256  # letters that wait: seconds of batches
 
@@ -89,7 +89,7 @@ class Threaded:
     def __init__(self, reader: Reader, worker: Worker, clock: Now = time.monotonic):
         self._reader, self._worker, self._clock = reader, worker, clock
         self._box = Mailbox(clock)
-        self._reading = Reading(clock())
+        self._reading = Look(clock())
         self.rejected: Counter[str] = Counter()
 
     @property
