@@ -74,19 +74,19 @@ class Playback:
 
 
 class Asleep:
-    """A runtime that answers nothing for its first `frames` windows: their poses are not looked at."""
+    """IMUPoser's runtime, which does no work for its first `frames` windows: nobody looks at them."""
 
-    def __init__(self, runtime: Any, frames: int, width: int) -> None:
-        self._runtime, self._left, self._width = runtime, frames, width
+    def __init__(self, runtime: Any, frames: int) -> None:
+        self._runtime, self._left = runtime, frames
         self.rows = runtime.rows
 
     def answer(self, rows: Any, emit: int) -> Any:
-        """Of the awake runtime, or zeros."""
+        """Of the awake runtime, or the rest pose."""
         import torch
 
         if self._left > 0:
             self._left -= 1
-            return torch.zeros(self._width)
+            return torch.tensor([1.0, 0, 0, 0, 1, 0]).repeat(24)
         return self._runtime.answer(rows, emit)
 
 
@@ -178,11 +178,10 @@ def imuposer_runs(name: str, clip: Motion, model: Imuposer) -> Iterator[Run]:
         return
     runtime.one_thread()
     awake = runtime.prepare(model, runtime.fastest())
-    width = model.net.head.out_features
     for k, combination in enumerate(COMBINATIONS):
         worn = tuple(sensors.FIVE[place] for place in combination)
         whole = everything.select(worn)
-        window = ImuposerWindow(model, worn, runtime=Asleep(awake, max(0, before - EARLY), width))
+        window = ImuposerWindow(model, worn, runtime=Asleep(awake, max(0, before - EARLY)))
         run = replay(Online(window, IMUPOSER_HZ), whole)
         yield Run(
             k,

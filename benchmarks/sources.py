@@ -24,36 +24,32 @@ from poser.live.addresses import Address
 from poser.live.assembler import Assembler
 from poser.live.receiver import Receiver
 from poser.live.samples import Network
-from poser.live.sources import mvn, sensorlogger
+from poser.live.sources import mvn, phyphox
 from poser.live.sources.conversation import Conversation
 from poser.live.sources.mvn import Mvn
 from poser.live.sources.protocol import Intake
-from poser.live.sources.sensorlogger import SensorLogger
 from poser.live.sources.slimevr import SlimeVR
-from poser.live.sources.threads import Threaded
 from tests.poser.live.sources.conftest import RATE, Time
-from tests.poser.live.sources.sets import SETS, Post, at
+from tests.poser.live.sources.sets import SETS, at
 from tests.poser.live.sources.test_mvn import suit
-from tests.poser.live.sources.test_sensorlogger import SYSTEMS, Phone
 from tests.poser.live.sources.test_slimevr import Trackers
 
 TICK_S = 0.002
 SECONDS = 6.0
-PHONES = ("left_wrist", "right_pocket", "head")
 
 
 def main() -> None:
     worn = synthesis.recording(motions.builtin(seconds=SECONDS + 0.1)).slice(1, 361)
-    carried = synthesis.recording(motions.builtin(seconds=SECONDS + 0.1), PHONES).slice(1, 361)
     print(f"{'source':<34} {'p50 ms':>7} {'p99 ms':>7}")
     for way in ("single", "bundle", "compact"):
         show(f"slimevr, {way} packets", *slimevr(worn, way))
     show("slimevr, bundles, 2 % lost", *slimevr(worn, "bundle", 0.02))
     show("mvn", *mvn_suit(worn))
-    for kind in SETS:
+    for kind in ("text", "dot"):
         show(kind, *by_frames(worn, kind))
     for batch_s in (0.1, 0.2):
-        show(f"sensorlogger, batches of {batch_s:g} s", *logger(carried, batch_s))
+        show(f"sensorlogger, batches of {batch_s:g} s", *by_batches(worn, "sensorlogger", batch_s))
+    show("phyphox, asked every 0.05 s", *by_batches(worn, "phyphox", phyphox.EVERY_S))
 
 
 def show(name: str, p50: float, p99: float) -> None:
@@ -120,23 +116,23 @@ def by_frames(worn: Recording, kind: str) -> tuple[float, float]:
         return lags(made.intake, time, worn, send, made.where(), buffer_s)
 
 
-def logger(carried: Recording, batch_s: float) -> tuple[float, float]:
-    time, post = Time(), Post()
-    phones = [Phone(name, *SYSTEMS["android"]) for name in PHONES]
-    waiting: list[list[dict]] = [[] for _ in phones]
+def by_batches(worn: Recording, kind: str, batch_s: float) -> tuple[float, float]:
+    """Of the sets of the tests whose devices send what they measured in batch_s at once, each at its turn."""
+    time = Time()
+    made = SETS[kind](worn, time)
+    waiting: list[list[tuple[int, float]]] = [[] for _ in worn.sensors]
     every = round(batch_s * RATE)
 
     def send(k: int) -> None:
-        for s, phone in enumerate(phones):
-            R, acc = carried.R_world_bone[k, s], carried.acc_world[k, s]
-            waiting[s] += phone.samples(R, acc, 1e9 + k / RATE)
+        for s, rows in enumerate(waiting):
+            rows.append((k, at(k)))
             if (k + 3 * s) % every == every - 1:
-                post.box.put(phone.batch(waiting[s]), phone.name)
-                waiting[s] = []
+                made.bring(s, made.batch(s, rows))
+                rows.clear()
 
-    intake = Threaded(SensorLogger(), post, time)
-    where = {name: name for name in PHONES}
-    return lags(intake, time, carried, send, where, sensorlogger.SOURCE.buffer_s)
+    with closing(made), closing(made.intake):
+        buffer_s = sources.kind(kind).buffer_s
+        return lags(made.intake, time, worn, send, made.where(), buffer_s)
 
 
 def free_port() -> int:

@@ -24,6 +24,7 @@ POSITIVE = (
     "rate_limit_deg_s",
     "gap_s",
     "horizon_memory_s",
+    "valley_s",
     "shown_memory_s",
     "deviations_s",
     "steps",
@@ -69,6 +70,8 @@ class TrackerSettings:
     budget_s: time of a frame, network included: under it further steps are taken, over it the window gets
     shorter. None: no clock is read, so that the same samples give the same poses.
     horizon_memory_s: in this time what has left the window counts less by 1/e.
+    valley_s: how often a window that explains its frames badly is compared with one in the network's poses
+    (`hybrid.valley`; infinite: never).
     shown_memory_s: in which what successive windows disagree about dies away (`sip.emission`).
     deviations_s: how often the poses' deviations are computed anew (infinite: never, and none is stated).
     cost: of the window (`sip.Settings`), its self_calibration included.
@@ -96,6 +99,7 @@ class TrackerSettings:
     steps: int = 1
     budget_s: float | None = None
     horizon_memory_s: float = 0.8
+    valley_s: float = 0.25
     shown_memory_s: float = 0.03
     deviations_s: float = 0.1
     cost: Settings = field(default_factory=window_cost)
@@ -115,7 +119,7 @@ class TrackerSettings:
         checked.settings(
             self,
             positive=POSITIVE,
-            infinite=("horizon_memory_s", "deviations_s"),
+            infinite=("horizon_memory_s", "valley_s", "deviations_s"),
             free=("network_sigma_deg", "network_scale"),
             error=PoserError,
         )

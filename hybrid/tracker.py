@@ -164,7 +164,8 @@ class Tracker:
         before, reason = state.window, ""
         assert before is not None
         if len(state.samples) > 1:
-            reason = self._break(sample.time_s - state.samples[-2].time_s)
+            dt = sample.time_s - state.samples[-2].time_s
+            reason = self._break(dt) or ("" if window.fills(dt) else TIME_GAP)
         if reason:
             before = window.restarted(before)
         said = pose if pose is not None and not pose.note else None
@@ -224,6 +225,12 @@ class Tracker:
         state = replace(state, memory=memory, refined_s=due.time_s)
         out = Pose(due.time_s, refined.R_parent_joint, np.array(p), refined.std_rad, pose.note)
         return state, out, trouble or refined.reason or state.gone
+
+    def told_late(self, state: TrackerState, late_s: float) -> TrackerState:
+        """The state, told how many s too late its next sample is taken (`mocap.estimator.told_late`)."""
+        if state.window is None:
+            return state
+        return replace(state, window=replace(state.window, late_s=late_s))
 
     def facts(self, state: TrackerState) -> dict[str, Any]:
         """Figures of the run so far: lag_frames; of the window its frames now and at most, steps a frame,

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
+from hybrid import valley
 from hybrid.settings import TrackerSettings
 from mocap.errors import SolveError
 from mocap.estimator import Pose, Sample
@@ -33,9 +34,15 @@ NO_WINDOW = "the window begins later"
 NO_TIME = "no time for the window"
 TOO_SLOW = "the window was over its time"
 SHORTENED = "the window got shorter"
-EVENTS = (FAILED, NO_TIME, TOO_SLOW, SHORTENED)
+RESTED = "the window began anew from the network's poses"
+EVENTS = (FAILED, NO_TIME, TOO_SLOW, SHORTENED, RESTED)
 SLACK = 0.7  # share of the time under which a window may grow
 FAST, SLOW = 0.2, 0.02  # how quickly the mean of the frames' times follows them up, and down
+LATE_S = 0.05  # a window of a frame that is later than this gets shorter, whatever took the time
+MOST_LATE_S = 0.15  # the shortest one is given up
+BLANKS = (
+    3  # frames that may be missing where time is short: each takes as long as one that is there
+)
 PAUSE_S = 1.0  # without a window, where the shortest one takes too long
 
 
@@ -55,8 +62,10 @@ class WindowState:
 
     solved: the window; empty at a start. times: s of its frames, oldest first. shift (3,) m: from its places
     to the path, None until a pose of it was given. size: frames that the machine has time for. frame_s: mean
-    time of a frame of late. pause: frames to go without a window. steps, frames: taken so far.
-    std_rad (24,3) of the poses, computed std_age frames ago. shown: the poses given
+    time of a frame of late. late_s: how late the newest one was. pause: frames to go without a window. steps,
+    frames: taken so far.
+    waited: frames since the network's valley was last looked at. rival: the window in that valley, while
+    it is being looked at. std_rad (24,3) of the poses, computed std_age frames ago. shown: the poses given
     last, in the window's places, the last of them at shown_s.
     """
 
@@ -65,9 +74,12 @@ class WindowState:
     shift: Array | None = None
     size: int = 0
     frame_s: float = 0.0
+    late_s: float = 0.0
     pause: int = 0
     steps: int = 0
     frames: int = 0
+    waited: int = 0
+    rival: HorizonState | None = None
     std_rad: Array | None = None
     std_age: int = 0
     shown: Shown | None = None
@@ -99,15 +111,29 @@ class Window:
         self.most = max(self._longest.size, self.least)
         self._by_size: dict[int, Horizon] = {}
         self._beliefs = Beliefs(settings)
-        self._deviation_frames = max(1.0, settings.deviations_s * rate_hz)
+        self._valley_frames, self._deviation_frames = (
+            max(1.0, s * rate_hz) for s in (settings.valley_s, settings.deviations_s)
+        )
 
     def start(self) -> WindowState:
         """Nothing seen yet."""
         return WindowState(self._longest.init(), size=self.most)
 
+    def fills(self, gap_s: float) -> bool:
+        """Whether it goes on over a gap in time with blank frames."""
+        return self.settings.budget_s is None or round(gap_s * self.rate_hz) - 1 <= BLANKS
+
     def restarted(self, state: WindowState) -> WindowState:
         """Nothing seen yet, on a machine that is known."""
-        return replace(state, solved=self._longest.init(), times=(), shift=None, shown=None)
+        return replace(
+            state,
+            solved=self._longest.init(),
+            times=(),
+            shift=None,
+            shown=None,
+            waited=0,
+            rival=None,
+        )
 
     def _of_size(self, size: int) -> Horizon:
         if size not in self._by_size:
@@ -137,9 +163,10 @@ class Window:
                 solved = state.solved
                 for _ in range(len(solved) - state.size):
                     solved = horizon.without_oldest(solved)
-                state = replace(state, solved=solved)
+                state = replace(state, solved=solved, rival=None)
             with _libraries().limit(limits=1, user_api="blas"):
                 state = self._entered(state, horizon, sample, pose)
+                state = self._compared(state, horizon, counts)
                 state = self._improved(state, horizon, began)
         except (SolveError, ArithmeticError, np.linalg.LinAlgError, ValueError) as e:
             raise WindowFailed(FAILED) from e
@@ -167,17 +194,38 @@ class Window:
             if off.min() < 0.5 / self.rate_hz:
                 belief = self._beliefs.of(pose)
 
-        solved = state.solved
-        for _ in range(missing):
-            solved = horizon.step(solved, Evidence.blank(1, S))
-        solved = horizon.step(solved, evidence_of(sample), belief, age)
+        def fed(solved: HorizonState) -> HorizonState:
+            for _ in range(missing):
+                solved = horizon.step(solved, Evidence.blank(1, S))
+            return horizon.step(solved, evidence_of(sample), belief, age)
+
+        solved = fed(state.solved)
         return replace(
             state,
             solved=solved,
+            rival=state.rival and fed(state.rival),
+            waited=state.waited + 1,
             times=times[len(times) - len(solved) :] if len(solved) else (),
             steps=state.steps + 1,
             frames=state.frames + 1,
         )
+
+    def _compared(
+        self, state: WindowState, horizon: Horizon, counts: defaultdict[str, int]
+    ) -> WindowState:
+        """The state in the cheaper valley, its own or the network's, where it is time to compare them."""
+        solved, rival = state.solved, state.rival
+        if rival is None:
+            waits = state.waited < self._valley_frames or len(solved) < horizon.size
+            if waits or not valley.troubled(solved):
+                return state
+            return replace(state, rival=valley.rival(horizon, solved), waited=0)
+        if state.waited < valley.FRAMES:
+            return state
+        if valley.cheaper(horizon, solved, rival):
+            solved = rival
+            counts[RESTED] += 1
+        return replace(state, solved=solved, rival=None, waited=0)
 
     def _improved(self, state: WindowState, horizon: Horizon, began: float) -> WindowState:
         """The state after the further steps that there are, or that the clock allows."""
@@ -197,12 +245,12 @@ class Window:
         follow = FAST if spent > state.frame_s else SLOW
         frame_s = state.frame_s + follow * (spent - state.frame_s)
         counts[TOO_SLOW] += spent > budget
-        size, pause = state.size, 0
-        if frame_s > budget and len(state.solved) >= size:
+        size, pause, late = state.size, 0, state.late_s > LATE_S
+        if (frame_s > budget or late) and len(state.solved) >= size:
             if size > self.least:
                 size, frame_s = size - 1, frame_s * (size - 1) / size
                 counts[SHORTENED] += 1
-            else:
+            elif frame_s > budget or state.late_s > MOST_LATE_S:
                 pause, frame_s = max(1, round(PAUSE_S * self.rate_hz)), 0.0
         elif frame_s < SLACK * budget and len(state.solved) >= size:
             size = min(size + 1, self.most)

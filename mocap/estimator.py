@@ -85,6 +85,13 @@ def facts(estimator: Estimator, state: Any) -> Mapping[str, Any]:
     return found
 
 
+def told_late(estimator: Estimator, state: Any, late_s: float) -> Any:
+    """The estimator's state, told that its next sample is taken so many s too late (0: in time), where it has
+    a method `told_late(state, late_s)`: one that can do with less time then does."""
+    tell = getattr(estimator, "told_late", None)
+    return state if tell is None else tell(state, late_s)
+
+
 def samples(recording: Recording) -> Iterator[Sample]:
     """The rows of a recording, first to last."""
     for t in range(len(recording)):

@@ -74,7 +74,8 @@ class HorizonState:
 
     evidence, point: of the window's frames, oldest first. frames: seen so far. damping: of the steps.
     doubt (S,), heard (S,): sums, fading over `network_memory_s`, of how far the network is from the sensors
-    and of how often that was seen. factor: of the last step since the newest frame came; never kept longer.
+    and of how often that was seen. cost: after the last step, in sigmas squared. factor: of the last step
+    since the newest frame came; never kept longer.
     """
 
     evidence: Evidence | None = None
@@ -84,6 +85,7 @@ class HorizonState:
     damping: float = 0.1
     doubt: Array = field(default_factory=lambda: np.zeros(0))
     heard: Array = field(default_factory=lambda: np.zeros(0))
+    cost: float = 0.0
     factor: Factor | None = None
 
     def __getstate__(self) -> dict[str, Any]:
@@ -222,9 +224,10 @@ class Horizon:
         trial = problem.point(point.x + dx, point.R_ref, u)
         after = problem.cost(trial)
         if not after <= cost:
-            return replace(state, damping=min(state.damping * 8, _MOST_DAMPING), factor=factor)
+            damping = min(state.damping * 8, _MOST_DAMPING)
+            return replace(state, damping=damping, cost=cost, factor=factor)
         damping = max(state.damping / 4, _LEAST_DAMPING)
-        return replace(state, point=trial, damping=damping, factor=factor)
+        return replace(state, point=trial, damping=damping, cost=after, factor=factor)
 
     def _factor(self, problem: Problem, point: Point, damping: float) -> Factor:
         return Factor(problem.hessian(point), damping / self._units**2, damping)

@@ -114,10 +114,10 @@ def _state(path: Path, motion: Any) -> None:
 
 def _sink(name: str) -> Callable[[Path, Any], None]:
     def save(path: Path, motion: Any) -> None:
-        from poser.live.sinks.protocol import Told
+        from poser.live.sinks.protocol import SinkOrder
 
         kind = importlib.import_module(f"poser.live.sinks.{name}").SINK
-        sink = kind.make(Told(str(path), motion.rate_hz, motion.skeleton, 0))
+        sink = kind.make(SinkOrder(str(path), motion.rate_hz, motion.skeleton, 0))
         for k in range(len(motion)):
             sink.write(Pose(k / motion.rate_hz, motion.R_parent_joint[k], motion.p_world_root[k]))
         sink.close()

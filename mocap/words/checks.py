@@ -190,8 +190,13 @@ def _other_pose(d: Details) -> str:
 
 
 def _uncertain(d: Details) -> str:
-    what = "its heading" if d["single"] else "where the wearer faces"
-    return f"{what} is known to {d['sigma_deg']:.0f} deg only"
+    known = f"is known to {d['sigma_deg']:.0f} deg only"
+    if d["single"]:
+        return (
+            f"its heading {known}, so it may be shown turned: calibrate again, and walk longer, with brisk "
+            f"starts and stops, and bend forward"
+        )
+    return f"where the wearer faces {known}"
 
 
 def _assumed(d: Details) -> str:

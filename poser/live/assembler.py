@@ -23,7 +23,7 @@ from poser.live.device_clock import DeviceClock, Pace, PacketNumbers
 from poser.live.packets import Packet
 
 SILENT_S = 0.5  # a device unheard for so long is not waited for
-STALL_S = 2.0  # the loop itself stood still for longer: the rows of that time are left out
+STALL_S = 2.0  # the loop itself stood still for longer: rows that nothing came for are left out
 MAX_BUFFER = 2048  # packets of one device; 2 s at 1000 Hz
 SAME_S = 1e-9
 REMEMBER_S = 0.5  # packets are kept for so long after their row, to know their doubles
@@ -174,6 +174,11 @@ class _Stream:
         before = self.kept[i - 1] if i else None
         return before, self.kept[i] if i < len(self.kept) else None, t
 
+    def next_after(self, local_s: float) -> float | None:
+        """The local time of the first packet at or after a local time."""
+        _, after, _ = self.around(local_s - 2 * SAME_S)
+        return None if after is None else after.time_s + self.clock.offset
+
     def complete(self, local_s: float) -> bool:
         """Whether nothing that may still arrive can change the row at this time."""
         before, after, t = self.around(local_s)
@@ -197,7 +202,7 @@ class Assembler:
 
     delay_s: how long a row waits for packets. max_gap_s: how far packets may lie apart to be
     interpolated. Both times are on the same local clock, any origin, never running backwards.
-    skipped: rows left out because the loop stood still for more than STALL_S.
+    skipped: rows left out because nothing came for them while the loop stood still for more than STALL_S.
     """
 
     def __init__(
@@ -227,14 +232,22 @@ class Assembler:
         rows: list[Row] = []
         if self.start_s is None:
             return rows
-        behind = now_s - self.delay_s - self._time(self._next)
-        if behind > STALL_S:
-            skip = int(behind * self.rate_hz)
-            self._next += skip
-            self.skipped += skip
+        self._skip(now_s - self.delay_s)
         while self._ready(now_s):
             rows.append(self._row())
+            if not rows[-1].valid.any():
+                self._skip(now_s - self.delay_s)
         return rows
+
+    def _skip(self, until_s: float) -> None:
+        """Leave out the rows to this time, or to the first packet, where that is for more than STALL_S."""
+        begin_s = self._time(self._next)
+        if until_s - begin_s <= STALL_S:
+            return
+        came = [t for s in self._streams.values() if (t := s.next_after(begin_s)) is not None]
+        skip = max(0, int((min([until_s, *came]) - begin_s) * self.rate_hz))
+        self._next += skip
+        self.skipped += skip
 
     @property
     def counts(self) -> dict[str, Counts]:

@@ -13,13 +13,15 @@ from typing import Any
 
 import numpy as np
 
-from mocap.estimator import Estimator, Pose, Sample, facts
+from mocap.estimator import Estimator, Pose, Sample, facts, told_late
 from mocap.orientation import Array
 from mocap.skeleton import TOES, Skeleton
 from poser.live.latency import Latency
 from poser.live.samples import Source
 from poser.live.sinks.protocol import Sink
 
+MOST_BEHIND_S = 0.25  # a loop that is later than this leaves samples out, until it is
+CAUGHT_UP_S = 0.05  # no later than this, or has the newest
 _ENDING = (signal.SIGINT, signal.SIGTERM, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else []))
 
 
@@ -29,6 +31,7 @@ class Report:
 
     samples, frames: fed and delivered. fallbacks: poses that were one, notes: why, counted. behind_s: how
     much later than the source's pace the last sample was taken, most_behind_s: the largest of these.
+    left_out: samples that were not fed, because the loop was too late.
     estimator: what it tells of itself (`mocap.estimator.facts`).
     """
 
@@ -40,6 +43,7 @@ class Report:
     step: Latency = field(default_factory=Latency)
     behind_s: float = 0.0
     most_behind_s: float = 0.0
+    left_out: int = 0
     source: dict[str, Any] = field(default_factory=dict)
     sinks: dict[str, Any] = field(default_factory=dict)
     estimator: Mapping[str, Any] = field(default_factory=dict)
@@ -53,6 +57,7 @@ class Report:
             **self.lag.to_dict("latency_ms"),
             **self.step.to_dict("frame_ms"),
             "behind_s": self.most_behind_s,
+            "left_out": self.left_out,
             **self.estimator,
             **self.source,
             "sinks": self.sinks,
@@ -70,6 +75,8 @@ def run(
     """Drive the estimator until the source, which is open, ends; then samples in which nothing is valid
     follow, as many as the look-ahead, so that the last frames get their poses (no times are taken of these).
 
+    It is never later than MOST_BEHIND_S and what the computer does besides: then samples are left out, but
+    for the newest of a poll. An estimator that can hurry is told how late it is (`told_late`).
     `report` is filled as it goes, so that it holds after an interruption too; `close` completes it.
     tell(report) is called once a poll.
     """
@@ -86,12 +93,13 @@ def run(
         _deliver(last, sinks, report)
 
     while not source.ended:
-        for sample in source.poll():
+        for sample in _in_time(source, report):
             if source.turns != turns:
                 # Of another world than all before: the estimator begins anew, where the body is.
                 state, turns, shift = estimator.init(), source.turns, None
             report.behind_s = source.behind_s(sample.time_s)
             report.most_behind_s = max(report.most_behind_s, report.behind_s)
+            state = told_late(estimator, state, report.behind_s)
             began = time.perf_counter()
             state, pose = estimator.step(state, sample)
             report.step.add(time.perf_counter() - began)
@@ -110,6 +118,18 @@ def run(
         state, pose = estimator.step(state, _nothing(sample, (k + 1) / source.rate_hz))
         if pose is not None:
             delivered(pose)
+
+
+def _in_time(source: Source, report: Report) -> Iterator[Sample]:
+    """The samples of a poll without those that are left out; how late each is counts when it is asked for."""
+    due, behind = source.poll(), False
+    for k, sample in enumerate(due, 1):
+        late_s = source.behind_s(sample.time_s)
+        behind = late_s > (CAUGHT_UP_S if behind else MOST_BEHIND_S)
+        if behind and k < len(due):
+            report.left_out += 1
+        else:
+            yield sample
 
 
 def _nothing(sample: Sample, later_s: float) -> Sample:

@@ -21,6 +21,7 @@ RECEIVE_BYTES = 4 << 20  # asked for: some seconds of a suit at 100 Hz
 # loop CATCH_UP of that time later, in which a suit's packets of the whole stop can be taken (20 us each).
 POLL_S = 0.005
 CATCH_UP = 0.1
+LOOKS = 10  # one after the other that do not empty the socket: then rows wait for it no longer
 Decoder = Callable[[bytes], Iterator[Packet | Rejected]]
 Now = Callable[[], float]
 
@@ -40,6 +41,26 @@ def y_up(decode: Decoder) -> Decoder:
     return turned
 
 
+class Reading:
+    """Up to when all that came has been read: `read_s`, on the receiver's clock (`Intake.read_s`)."""
+
+    def __init__(self, now_s: float):
+        self.read_s = now_s
+        self._looks = 0
+
+    def emptied(self, at_s: float) -> None:
+        """Nothing was left at this time."""
+        self.read_s, self._looks = at_s, 0
+
+    def broken_off(self, now_s: float, arrival_s: float | None) -> None:
+        """A look ended before nothing was left. arrival_s: when what it took last had come, where known."""
+        self._looks += 1
+        if self._looks > LOOKS:
+            self.read_s = now_s
+        elif arrival_s is not None:
+            self.read_s = arrival_s
+
+
 class Receiver:
     """Datagrams of a UDP socket, decoded; refused ones are counted by reason and never stop it.
 
@@ -47,6 +68,7 @@ class Receiver:
     """
 
     ended = False  # who listens cannot know
+    _stamped = False  # datagrams tell when they came
 
     def __init__(self, address: Address, decode: Decoder, clock: Now = time.monotonic):
         family, self._to = resolved(address, f"cannot listen on {address}", socket.SOCK_DGRAM)
@@ -57,6 +79,7 @@ class Receiver:
         self._address, self._decode, self._clock = address, decode, clock
         self._empty_s: float | None = None  # when nothing was left to take
         self._left_s = clock()  # when the last look ended
+        self._reading = Reading(self._left_s)
         self.rejected: Counter[str] = Counter()
 
     def open(self) -> None:
@@ -66,6 +89,12 @@ class Receiver:
         except OSError as e:
             raise PoserError(f"cannot listen on {self._address}: {e.strerror or e}") from e
         self._left_s = self._clock()
+        self._reading.emptied(self._left_s)
+
+    @property
+    def read_s(self) -> float:
+        """See `Intake`."""
+        return self._reading.read_s
 
     @property
     def port(self) -> int:
@@ -87,10 +116,12 @@ class Receiver:
     def _take(self, until_s: float) -> Iterator[tuple[Packet, float, float | None]]:
         """What waits in the socket: at least one datagram, and no further one from `until_s` on."""
         while True:
+            looked = self._clock()
             try:
                 datagram, sender, arrival = self._read()
             except BlockingIOError:
-                self._empty_s = self._clock()
+                self._empty_s = looked
+                self._reading.emptied(looked)
                 return
             except OSError:
                 # Some systems report an earlier send's failure here; it is not about what we receive.
@@ -101,7 +132,8 @@ class Receiver:
                     self.rejected[found.reason] += 1
                 else:
                     yield replace(found, sender=sender[:2]), arrival, self._empty_s
-            if self._clock() >= until_s:
+            if (now := self._clock()) >= until_s:
+                self._reading.broken_off(now, arrival if self._stamped else None)
                 return
 
     def _read(self) -> tuple[bytes, Any, float]:

@@ -212,7 +212,8 @@ class Network:
         if self._intake.ended:
             # The rows behind the last packet are not waited for.
             self._end_s = min(self._end_s, self._clock() + self._assembler.delay_s)
-        rows = self._assembler.pull(self._clock())
+        # Rows wait for what has come but is not read yet.
+        rows = self._assembler.pull(min(self._clock(), self._intake.read_s))
         if self._recorder is not None:
             self._recorder.take(rows, self._whole)
         due: list[Sample] = []

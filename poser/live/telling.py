@@ -20,7 +20,9 @@ STATUS_S = 1.0
 RECENT = 300  # poses that the line's latency is of
 PATIENCE_S = 5.0  # for sensors that nothing comes from, before a sentence says so
 TURNED_DEG = 2.0  # a heading that is taken out and shown
-BEHIND_S = 0.2  # a loop that is later than this has fallen behind; a slow frame is caught up sooner
+BEHIND_S = (
+    0.2  # a loop that is later than this is said to be behind; a slow frame is caught up sooner
+)
 
 
 @runtime_checkable
@@ -163,6 +165,8 @@ def status(report: Report, source: Source) -> str:
         words.append(f"latency {p50:.1f} ms (99 %: {p99:.1f})")
     if report.behind_s > BEHIND_S:
         words.append(f"{report.behind_s:.1f} s behind the source")
+    if report.left_out:
+        words.append(f"{report.left_out} samples left out")
     if isinstance(source, Network) and (told := source.prompt or source.trouble):
         words.insert(0, told if source.prompt else f"not reset: {told}")
     facts = source.facts()
@@ -225,6 +229,8 @@ def summary(report: Report) -> None:
             say(f"{words}: {p50:.1f} ms in the middle, {p99:.1f} ms for 99 of 100")
     if report.most_behind_s > BEHIND_S:
         say(f"fell {report.most_behind_s:.1f} s behind the source, at most")
+    if report.left_out:
+        say(f"{report.left_out} samples were left out: this machine is too slow for all of them")
     say(f"{report.frames} poses of {report.samples} samples")
 
 

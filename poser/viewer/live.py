@@ -16,6 +16,7 @@ from poser.live.addresses import LOCALHOST, Address
 from poser.viewer import stage
 
 RATE_HZ = 30.0
+REST = np.tile(np.eye(3), (24, 1, 1))
 
 
 def plain(text: str) -> str:
@@ -35,6 +36,10 @@ class ViewerSink:
         self._server = stage.server(host, port)
         self.url = f"http://{Address(host, self._server.get_port())}"
         self._figure = stage.Figure(self._server, 0, "live", skeleton, np.zeros(3), body=body)
+        # Until the first pose it stands on the floor, arms out.
+        _, p = skeleton.forward(REST, np.zeros(3))
+        p[:, 1] += skeleton.sole - p[:, 1].min()
+        self._figure.pose(REST, p)
         stage.floor(self._server)
         stage.look_from(self._server, np.array([0.0, 0.95, 0.0]), 0.0)
         self._text = self._server.gui.add_markdown("waiting for sensors")

@@ -14,7 +14,7 @@ from mocap import Motion, PoserError, Recording, synthesis
 from mocap import orientation as ori
 from mocap import sensors as places
 from mocap.errors import SolveError
-from mocap.estimator import Pose, facts, samples
+from mocap.estimator import Pose, facts, samples, told_late
 from mocap.evaluation import metrics
 from mocap.synthesis import motions
 from sip import Horizon, Settings
@@ -163,6 +163,35 @@ def test_a_machine_too_slow_has_a_shorter_window_and_then_none_and_still_every_p
     assert told["window_events"][window.SHORTENED] > 0
     assert told["steps_per_frame"] == 1
     assert any(window.NO_TIME in p.note for p in poses)
+
+
+def test_a_frame_that_is_late_has_a_shorter_window_whatever_took_the_time(
+    network: FakeNetwork, noisy: Recording
+) -> None:
+    """The estimator itself has all the time of the world; 0.1 s late: the shortest window; 0.2 s: none."""
+    estimator = Tracker(network, TrackerSettings(budget_s=1e3, **SHORT))
+    state, sizes = estimator.init(), []
+    for k, sample in enumerate(samples(noisy)):
+        state = told_late(estimator, state, 0.0 if k < 20 else 0.1 if k < 40 else 0.2)
+        state, pose = estimator.step(state, sample)
+        sizes.append(facts(estimator, state)["window_frames"])
+    assert estimator.window is not None and estimator.window.least < sizes[0]
+    assert set(sizes[:20]) == {estimator.window.most} and sizes[39] == estimator.window.least
+    assert pose is not None and window.NO_TIME in pose.note
+
+
+def test_many_missing_frames_begin_a_new_window_where_time_is_short(
+    network: FakeNetwork, noisy: Recording
+) -> None:
+    """Blank frames take as long as those that are there."""
+    rows = [s for k, s in enumerate(samples(noisy)) if not 25 <= k < 29]
+    for budget_s, fills in ((None, True), (1e3, False)):
+        how = TrackerSettings(budget_s=budget_s, gap_s=0.5, **SHORT)
+        estimator = Tracker(network, how)
+        state = estimator.init()
+        for sample in rows[:26]:
+            state, _ = estimator.step(state, sample)
+        assert state.window is not None and (len(state.window.times) > 1) is fills
 
 
 @pytest.mark.parametrize("names", [places.SIX, ("left_wrist", "right_pocket")], ids=len)

@@ -52,6 +52,8 @@ class Playback:
         """All has been played."""
         return not self._again and self._next >= len(self._raw)
 
+    read_s = np.inf  # nothing waits
+
     def receive(self, wait_s: float) -> Iterator[tuple[Packet, float, float | None]]:
         due_s = self._began_s + self._next / self._raw.rate_hz
         if (early := due_s - self._clock()) > 0:

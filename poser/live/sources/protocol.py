@@ -32,6 +32,11 @@ class Intake(Protocol):
         """Nothing more will come."""
         ...
 
+    @property
+    def read_s(self) -> float:
+        """All that came before this time was given out; what came later may still wait. In a flood, now."""
+        ...
+
     def open(self) -> None:
         """Begin. Raises PoserError where it cannot."""
         ...

@@ -14,7 +14,7 @@ from typing import Protocol
 
 from poser.live.heard import Heard
 from poser.live.packets import Packet, Rejected
-from poser.live.receiver import CATCH_UP, POLL_S, Now
+from poser.live.receiver import CATCH_UP, POLL_S, Now, Reading
 
 LENGTH = 256  # letters that wait: seconds of batches
 
@@ -89,17 +89,30 @@ class Threaded:
     def __init__(self, reader: Reader, worker: Worker, clock: Now = time.monotonic):
         self._reader, self._worker, self._clock = reader, worker, clock
         self._box = Mailbox(clock)
+        self._reading = Reading(clock())
         self.rejected: Counter[str] = Counter()
+
+    @property
+    def read_s(self) -> float:
+        """See `Intake`."""
+        return self._reading.read_s
 
     def open(self) -> None:
         self._worker.start(self._box)
 
     def receive(self, wait_s: float) -> Iterator[tuple[Packet, float, float | None]]:
+        looked = self._clock()
         letter = self._box.take(wait_s)
         until = self._clock() + POLL_S + CATCH_UP * wait_s
         while letter is not None:
             yield from self._opened(letter)
-            letter = self._box.take(0.0) if self._clock() < until else None
+            looked = self._clock()
+            if looked >= until:
+                self._reading.broken_off(looked, letter.arrival_s)
+                break
+            letter = self._box.take(0.0)
+        else:
+            self._reading.emptied(looked)
         self.rejected.update(self._box.faults())
 
     def _opened(self, letter: Letter) -> Iterator[tuple[Packet, float, float | None]]:

@@ -13,7 +13,7 @@ function skins(data, numbers) {
       "vec4 v = vec4(rest, 1.); vec3 p = vec3(dot(r0, v), dot(r1, v), dot(r2, v));" +
       "vec3 n = normalize(vec3(dot(r0.xyz, normal), dot(r1.xyz, normal), dot(r2.xyz, normal)));" +
       // view: cos and sin of yaw and tilt. The eye is in front, so what is nearer has a larger depth.
-      "float u = view.x * p.x + view.y * p.z, d = view.x * p.z - view.y * p.x, s = size.y / 2500.;" +
+      "float u = view.x * p.x + view.y * p.z, d = view.x * p.z - view.y * p.x, s = size.y / 2900.;" +
       "float up = view.z * p.y - view.w * d, near = view.w * p.y + view.z * d;" +
       "gl_Position = vec4(2. * s * u / size.x, 2. * s * up / size.y - .76, -near / 4000., 1.);" +
       "float toward = view.w * n.y + view.z * (view.x * n.z - view.y * n.x);" +

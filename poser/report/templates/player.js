@@ -46,7 +46,7 @@ function project(x, y, z, cell) {
   const cx = Math.cos(yaw), sx = Math.sin(yaw);
   const u = cx * x + sx * z, d = -sx * x + cx * z;
   const v = Math.cos(tilt) * y - Math.sin(tilt) * d;
-  const s = cell.h / 2500;
+  const s = cell.h / 2900;
   return [cell.x + cell.w / 2 + s * u, cell.y + cell.h * 0.88 - s * v];
 }
 function line(g, a, b) { g.beginPath(); g.moveTo(a[0], a[1]); g.lineTo(b[0], b[1]); g.stroke(); }

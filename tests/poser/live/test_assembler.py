@@ -207,6 +207,18 @@ def test_a_loop_that_stood_still_leaves_rows_out() -> None:
     assert rows[-1].time_s == pytest.approx(3600.0 - box.delay_s, abs=2 / RATE)
 
 
+def test_what_came_while_the_loop_stood_still_has_its_rows() -> None:
+    """Five seconds of packets found at once; then nothing for an hour, and packets again."""
+    box = Assembler(("a",), RATE)
+    sent = steady(round(5 * RATE))
+    for _, p in sent:
+        box.push(p, 0.0 if p is sent[0][1] else 5.0, 0.001)
+    rows = box.pull(5.0)
+    assert box.skipped == 0 and len(rows) > 4.9 * RATE
+    assert_true([(5.0, row) for row in rows])
+    assert len(box.pull(3600.0)) < 200 and box.skipped > 3500 * RATE
+
+
 def test_the_buffer_is_bounded() -> None:
     box = Assembler(("a",), RATE)
     for k in range(5000):

@@ -30,6 +30,7 @@ class Script:
     """Packets at their times in place of a socket."""
 
     ended = False
+    read_s = np.inf
 
     def __init__(self, packets: list[tuple[float, Packet]]):
         self._packets = sorted(packets, key=lambda p: p[0])

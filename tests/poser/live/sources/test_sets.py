@@ -11,7 +11,7 @@ import pytest
 
 from mocap.recording import Recording
 from tests.poser.live.sources.conftest import RATE, Time, heard, same_poses
-from tests.poser.live.sources.sets import SETS, START_S, TextSet, at
+from tests.poser.live.sources.sets import SETS, START_S, at
 
 
 @pytest.fixture(params=SETS)
@@ -64,10 +64,11 @@ def test_loss_other_orders_a_restart_and_noise(devices: Any, worn: Recording) ->
     assert counts["jumps"] == 1
 
 
-def test_a_second_sender_of_a_name_is_counted(worn: Recording) -> None:
-    """Bluetooth has one device of an address; on UDP anybody may take a name."""
+@pytest.mark.parametrize("kind", ["text", "sensorlogger"])
+def test_a_second_sender_of_a_name_is_counted(worn: Recording, kind: str) -> None:
+    """Bluetooth and phyphox have one device of an address; elsewhere anybody may take a name."""
     time = Time()
-    made = TextSet(worn, time)
+    made = SETS[kind](worn, time)
 
     def send(k: int) -> None:
         for s in range(len(worn.sensors)):
@@ -78,4 +79,7 @@ def test_a_second_sender_of_a_name_is_counted(worn: Recording) -> None:
     with closing(made), closing(made.intake):
         source, got = heard(made.intake, time, worn, send, made.where())
     same_poses(got, worn, within_deg=0.1)
-    assert source.facts()["devices"]["p0_phone"]["others"] == 20
+    facts, [first, *_] = source.facts(), made.where()
+    counted = facts["devices"][first]["others"], facts["rejected"]
+    taken = {"name taken by another device": 20}
+    assert counted == {"text": (20, {}), "sensorlogger": (0, taken)}[kind]

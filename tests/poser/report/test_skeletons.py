@@ -11,7 +11,7 @@ from mocap.body import mesh_skin
 from mocap.orientation import Array
 from mocap.skeleton import Skeleton
 from mocap.synthesis import motions
-from poser.report import film
+from poser.report import skeletons
 
 
 def unpacked(text: str, kind: str, width: int) -> Array:
@@ -20,10 +20,10 @@ def unpacked(text: str, kind: str, width: int) -> Array:
 
 def test_the_page_s_skin_is_the_body_s() -> None:
     """Whole mm, quaternions of 16 bits, four weights of a byte: within 8 mm of the skin, most within 2."""
-    mesh, tall = film.Mesh(), motions.walk(3.0, rate_hz=30.0).on(Skeleton.default(1.9))
+    mesh, tall = skeletons.Mesh(), motions.walk(3.0, rate_hz=30.0).on(Skeleton.default(1.9))
     short = tall.on(Skeleton.default(1.6))
     # The pelvis is in the middle of the floor, as the player has it.
-    poses = [film._poses(m, 30.0, m, mesh) for m in (tall, short, tall)]
+    poses = [skeletons._poses(m, 30.0, m, mesh) for m in (tall, short, tall)]
     data = mesh.data()
     assert [p["body"] for p in poses] == [0, 1, 0] and len(data["bodies"]) == 2
     joints = unpacked(data["joints"], "u1", 4).astype(int)
@@ -47,7 +47,7 @@ def test_the_page_s_skin_is_the_body_s() -> None:
 
 def test_several_bodies_are_light() -> None:
     """The mesh is in the page once: about 0.3 MB, and 0.05 MB for each further skeleton."""
-    mesh = film.Mesh()
+    mesh = skeletons.Mesh()
     mesh.index(Skeleton.default())
     one = len(str(mesh.data()))
     mesh.index(Skeleton.default(1.9))
