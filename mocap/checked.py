@@ -27,7 +27,10 @@ def number(
     """
     if isinstance(value, bool | np.bool_) or not isinstance(value, numbers.Real):
         raise error(f"{what} must be a number, got {value!r}")
-    found = float(value)
+    try:
+        found = float(value)
+    except OverflowError as e:  # a whole number of more than 308 digits
+        raise error(f"{what} must be a number of ordinary size") from e
     wanted = f" above {above:g}" if above > -math.inf else ""
     wanted = wanted or (f" of {least:g} or more" if least > -math.inf else "")
     finite = math.isfinite(found) or (infinite and found > 0)

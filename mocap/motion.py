@@ -109,10 +109,11 @@ class Motion:
         cls, rate_hz: float, poses: ArrayLike, trans: ArrayLike, skeleton: Skeleton
     ) -> Motion:
         """From axis-angle (T,72) rad and trans (T,3) m, both in our y-up world."""
-        poses = np.asarray(poses, float)
+        checked.instance(skeleton, Skeleton, "Motion.from_smpl: skeleton")
+        poses = checked.array(poses, "Motion.from_smpl: poses")
         if poses.ndim != 2 or poses.shape[1] != 72:
             raise ShapeError(f"poses must be (T,72), got {poses.shape}")
-        trans = np.asarray(trans, float)
+        trans = checked.array(trans, "Motion.from_smpl: trans")
         if trans.shape != (len(poses), 3):
             raise ShapeError(f"trans must be ({len(poses)},3), got {trans.shape}")
         if not np.isfinite(poses).all():
@@ -123,12 +124,11 @@ class Motion:
 
     def slice(self, start: int, stop: int) -> Motion:
         """Frames start to stop-1, at the time they have here."""
-        first, _, _ = slice(start, stop).indices(len(self))
         return replace(
             self,
             R_parent_joint=self.R_parent_joint[start:stop],
             p_world_root=self.p_world_root[start:stop],
-            start_s=self.start_s + first / self.rate_hz,
+            start_s=self.start_s + slice(start, stop).indices(len(self))[0] / self.rate_hz,
             trusted=None if self.trusted is None else self.trusted[start:stop],
         )
 
@@ -178,6 +178,7 @@ class Motion:
         # Here, because scipy.signal takes half a second to import.
         from scipy.signal import butter, sosfiltfilt
 
+        checked.number(cutoff_hz, "Motion.lowpassed: cutoff_hz", above=0.0, infinite=True)
         if cutoff_hz >= self.rate_hz / 2 or len(self) < 8:
             return self
         sos = butter(2, cutoff_hz / (self.rate_hz / 2), output="sos")
@@ -192,7 +193,7 @@ class Motion:
 
     def turned(self, yaw: float) -> Motion:
         """The whole motion turned about the vertical through the origin by `yaw` rad."""
-        Ry = ori.rot_y(yaw)
+        Ry = ori.rot_y(checked.number(yaw, "Motion.turned: yaw"))
         R = np.array(self.R_parent_joint)
         R[:, 0] = Ry @ R[:, 0]
         return replace(self, R_parent_joint=R, p_world_root=self.p_world_root @ Ry.T)

@@ -105,6 +105,11 @@ class RawRecording:
         put(self, "start_s", checked.number(self.start_s, "RawRecording: start_s"))
         if self.reference is not None:
             checked.instance(self.reference, Motion, "RawRecording: reference")
+        if self.facing_rad is not None:
+            put(self, "facing_rad", checked.number(self.facing_rad, "RawRecording: facing_rad"))
+        checked.instance(self.common_heading, bool, "RawRecording: common_heading")
+        if self.truth is not None:
+            checked.instance(self.truth, dict, "RawRecording: truth")
         put(self, "sensors", names)
         put(self, "acc", _array(self.acc, (T, S, 3), "RawRecording: acc"))
         put(self, "gyr", _array(self.gyr, (T, S, 3), "RawRecording: gyr"))
@@ -152,10 +157,11 @@ class RawRecording:
 
     def renamed(self, mapping: dict[str, str]) -> RawRecording:
         """Sensors renamed by `mapping` (names that are not in it stay)."""
+        checked.instance(mapping, dict, "RawRecording.renamed: mapping")
         return replace(self, sensors=tuple(mapping.get(n, n) for n in self.sensors))
 
     def slice(self, start: int, stop: int) -> RawRecording:
-        """Frames start to stop-1."""
+        """Frames start to stop-1, at the time they have here."""
         cut = slice(start, stop)
         return replace(
             self,
@@ -165,7 +171,7 @@ class RawRecording:
             R_world_sensor=None if self.R_world_sensor is None else self.R_world_sensor[cut],
             valid=self.valid[cut],
             reference=None if self.reference is None else self.reference.slice(start, stop),
-            start_s=self.start_s + start / self.rate_hz,
+            start_s=self.start_s + slice(start, stop).indices(len(self))[0] / self.rate_hz,
         )
 
 
@@ -206,6 +212,10 @@ class Recording:
         put(self, "start_s", checked.number(self.start_s, "Recording: start_s"))
         if self.reference is not None:
             checked.instance(self.reference, Motion, "Recording: reference")
+        for name in ("calibration", "noise"):
+            if getattr(self, name) is not None:
+                checked.instance(getattr(self, name), dict, f"Recording: {name}")
+        put(self, "notes", checked.names(self.notes, "Recording: notes"))
         R = checked.array(self.R_world_bone, "Recording: R_world_bone")
         if R.ndim != 4 or R.shape[1:] != (S, 3, 3) or len(R) == 0:
             raise ShapeError(f"Recording: R_world_bone must be (T,{S},3,3), T > 0, got {R.shape}")
@@ -279,19 +289,19 @@ class Recording:
         )
 
     def slice(self, start: int, stop: int) -> Recording:
-        """Frames start to stop-1."""
+        """Frames start to stop-1, at the time they have here."""
         return replace(
             self,
             R_world_bone=self.R_world_bone[start:stop],
             acc_world=self.acc_world[start:stop],
             valid=self.valid[start:stop],
             reference=None if self.reference is None else self.reference.slice(start, stop),
-            start_s=self.start_s + start / self.rate_hz,
+            start_s=self.start_s + slice(start, stop).indices(len(self))[0] / self.rate_hz,
         )
 
     def turned(self, yaw: float) -> Recording:
         """Everything turned about the vertical by `yaw` rad."""
-        Ry = ori.rot_y(yaw)
+        Ry = ori.rot_y(checked.number(yaw, "Recording.turned: yaw"))
         return replace(
             self,
             R_world_bone=Ry @ self.R_world_bone,
@@ -301,6 +311,7 @@ class Recording:
 
 
 def _indices(have: tuple[str, ...], want: tuple[str, ...]) -> list[int]:
+    want = checked.names(want, "select: sensors", SensorError)
     missing = [n for n in want if n not in have]
     if missing or not want:
         raise SensorError(

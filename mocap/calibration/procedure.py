@@ -22,6 +22,7 @@ from typing import Literal
 
 import numpy as np
 
+from mocap import checked
 from mocap import orientation as ori
 from mocap import sensors as places
 from mocap.calibration import checks, fusion, pose_facing
@@ -65,7 +66,7 @@ def calibrate(
     the result comes anyway, and the findings are in its `diagnostics`. A wearer who moves at a time that was
     given is an error above `NEVER_STILL` rad/s, below it a warning.
     """
-    _allowed(raw, orientation)
+    _allowed(raw, orientation, at=at, facing=facing, arm_angle_deg=arm_angle_deg)
     joints, _ = places.joints_and_seats(raw.sensors)
     bones = pose_bones(joints, pose, arm_angle_deg)
     other = OtherPose(*second, pose_bones(joints, second[0], arm_angle_deg)) if second else None
@@ -98,7 +99,11 @@ def calibrate(
     return turned(measured, result), result
 
 
-def _allowed(raw: RawRecording, orientation: OrientationChoice) -> None:
+def _allowed(raw: RawRecording, orientation: OrientationChoice, **numbers: float | None) -> None:
+    checked.instance(raw, RawRecording, "calibrate: raw", CalibrationError)
+    for name, value in numbers.items():
+        if value is not None:
+            checked.number(value, f"calibrate: {name}", error=CalibrationError)
     if orientation == "file" and raw.R_world_sensor is None:
         raise CalibrationError("the recording carries no orientation: use orientation='vqf'")
 

@@ -18,6 +18,8 @@ INSTEAD: dict[str, tuple[str, str]] = {
     ".fbx": ("an FBX scene", _RIG),
     ".glb": ("a glTF scene", f"poser convert writes such files, and reads none: {_RIG}"),
     ".gltf": ("a glTF scene", _RIG),
+    ".vrm": ("a VRM avatar", _RIG),
+    ".abc": ("an Alembic scene", _RIG),
     ".dae": ("a Collada scene", _RIG),
     ".blend": ("a Blender scene", _RIG),
     ".usd": ("a USD scene", _RIG),
@@ -31,6 +33,7 @@ INSTEAD: dict[str, tuple[str, str]] = {
     ".ods": ("a workbook", _TABLE),
     ".parquet": ("a Parquet table", "save it as .csv, with columns such as pelvis.acc_x"),
     ".h5": ("an HDF5 file", "save its tables as .csv, with columns such as pelvis.acc_x"),
+    ".hdf5": ("an HDF5 file", "save its tables as .csv, with columns such as pelvis.acc_x"),
     ".bag": ("a ROS bag", "save each sensor's messages as .csv in one folder"),
     ".zip": ("an archive", "unpack it and give the folder or a file in it"),
     ".tar": ("an archive", "unpack it and give the folder or a file in it"),
@@ -38,6 +41,7 @@ INSTEAD: dict[str, tuple[str, str]] = {
     ".xz": ("an archive", "unpack it and give the folder or a file in it"),
     ".7z": ("an archive", "unpack it and give the folder or a file in it"),
     ".mp4": ("a film", "poses are estimated from sensors here, not from pictures"),
+    ".avi": ("a film", "poses are estimated from sensors here, not from pictures"),
     ".mov": ("a film", "poses are estimated from sensors here, not from pictures"),
 }  # fmt: skip
 

@@ -28,7 +28,7 @@ MAX_FLOATS = 2 << 30  # bytes of the same as the float64 that readers make of th
 BOMB_BYTES, BOMB_RATIO = (
     64 << 20,
     200,
-)  # above this size, data that shrinks this much is no recording
+)  # of these float64: above this size, no recording packs so well
 
 # What zipfile and numpy raise on bytes that are not what they should be.
 BROKEN = (
@@ -66,38 +66,48 @@ def load(path: Path, wanted: Iterable[str]) -> dict[str, np.ndarray]:
                 path,
                 f"declares {total / 2**20:.0f} MiB of data, at most {MAX_BYTES >> 20} are read",
             )
-        arrays: dict[str, np.ndarray] = {}
-        left = MAX_FLOATS
-        for name, info in found.items():
-            arrays[name] = _member(path, archive, name, info, left)
-            left -= 8 * arrays[name].size
-        return arrays
+        becomes = {name: _becomes(path, archive, name, info) for name, info in found.items()}
+        whole = sum(becomes.values())
+        most = f"array {max(becomes, key=lambda name: becomes[name])!r}" if becomes else ""
+        if whole > MAX_FLOATS:
+            raise FormatError(
+                path, f"{whole >> 20} MiB of numbers, at most {MAX_FLOATS >> 20} in a file", most
+            )
+        _refuse_bomb(path, whole, sum(info.compress_size for info in found.values()), most)
+        return {name: _member(path, archive, name, info) for name, info in found.items()}
 
 
-def _member(
-    path: Path, archive: zipfile.ZipFile, name: str, info: zipfile.ZipInfo, left: int
-) -> np.ndarray:
-    """One array, which as float64 takes at most `left` bytes: a byte of zeros in the file becomes eight."""
+def _becomes(path: Path, archive: zipfile.ZipFile, name: str, info: zipfile.ZipInfo) -> int:
+    """Bytes that an array takes as readers keep it: its numbers as float64, so a byte in the file is eight.
+
+    Raises FormatError where it is damaged, pickled, packed in a way that is not read, or not of the size that
+    the archive says.
+    """
     where = f"array {name!r}"
-    _refuse_bomb(path, info, where)
+    _check_method(path, info, where)
     try:
         with warnings.catch_warnings(), archive.open(info) as stream:
             warnings.simplefilter("error")
             shape, dtype = _header(stream)
             declared = math.prod(shape) * dtype.itemsize + stream.tell()
-            if dtype.hasobject:
-                raise FormatError(path, "holds pickled objects, which are never loaded", where)
-            if declared != info.file_size:
-                raise FormatError(
-                    path, f"declares {declared} bytes (shape {shape}), has {info.file_size}", where
-                )
-        if 8 * math.prod(shape) > left:
-            size = f"{8 * math.prod(shape) >> 20} MiB of numbers"
-            raise FormatError(path, f"{size}, at most {MAX_FLOATS >> 20} in a file", where)
+    except (*BROKEN, RecursionError) as e:
+        raise FormatError(path, "damaged or cut short", where) from e
+    if dtype.hasobject:
+        raise FormatError(path, "holds pickled objects, which are never loaded", where)
+    if declared != info.file_size:
+        size = str(declared) if abs(declared) < 10**18 else "over 10^18"
+        raise FormatError(
+            path, f"declares {size} bytes (shape {_short(shape)}), has {info.file_size}", where
+        )
+    return math.prod(shape) * (8 if dtype.kind in "iuf" else dtype.itemsize)
+
+
+def _member(path: Path, archive: zipfile.ZipFile, name: str, info: zipfile.ZipInfo) -> np.ndarray:
+    try:
         with archive.open(info) as stream:
             return np.lib.format.read_array(stream, allow_pickle=False)
     except (*BROKEN, RecursionError) as e:
-        raise FormatError(path, "damaged or cut short", where) from e
+        raise FormatError(path, "damaged or cut short", f"array {name!r}") from e
 
 
 def load_objects(path: Path, name: str) -> list[Any]:
@@ -112,7 +122,9 @@ def load_objects(path: Path, name: str) -> list[Any]:
             info = archive.getinfo(f"{name}.npy")
             if info.file_size > MAX_BYTES:
                 raise FormatError(path, f"declares {info.file_size >> 20} MiB", where)
-            _refuse_bomb(path, info, where)
+            _check_method(path, info, where)
+            # What the pickle holds is not known yet: a byte of it may become a float64.
+            _refuse_bomb(path, 8 * info.file_size, info.compress_size, where)
             with archive.open(info) as stream:
                 shape, _ = _header(stream)
                 data = stream.read()
@@ -124,13 +136,22 @@ def load_objects(path: Path, name: str) -> list[Any]:
     return list(items)
 
 
-def _refuse_bomb(path: Path, info: zipfile.ZipInfo, where: str) -> None:
-    if info.file_size > BOMB_BYTES and info.file_size > BOMB_RATIO * max(info.compress_size, 1):
-        raise FormatError(
-            path, f"{info.file_size >> 20} MiB packed in {info.compress_size} bytes", where
-        )
+def _refuse_bomb(path: Path, becomes: int, packed: int, where: str) -> None:
+    """Refuse what would become far more than the file is. The directory of a zip may overstate `packed`."""
+    packed = min(packed, path.stat().st_size)
+    if becomes > BOMB_BYTES and becomes > BOMB_RATIO * packed:
+        raise FormatError(path, f"{becomes >> 20} MiB packed in {packed} bytes", where)
+
+
+def _check_method(path: Path, info: zipfile.ZipInfo, where: str) -> None:
     if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
         raise FormatError(path, "compressed by a method other than deflate", where)
+
+
+def _short(shape: tuple[int, ...]) -> str:
+    """A shape for a message: what a damaged file declares may have thousands of digits, or of axes."""
+    words = ", ".join(str(n) if abs(n) < 10**18 else "..." for n in shape[:8])
+    return f"({words}{', ...' if len(shape) > 8 else ''})"
 
 
 def _header(stream: Any) -> tuple[tuple[int, ...], np.dtype[Any]]:

@@ -14,7 +14,7 @@ import numpy as np
 from mocap import checked
 from mocap import orientation as ori
 from mocap import sensors as places
-from mocap.errors import ShapeError
+from mocap.errors import SensorError, ShapeError
 from mocap.motion import Motion
 from mocap.orientation import Array
 from mocap.recording import RawRecording, Recording
@@ -128,6 +128,13 @@ def prepare(motion: Motion, rate_hz: float, lowpass_hz: float | None) -> Motion:
     return motion.resampled(rate_hz)
 
 
+def _checked(motion: Motion, noise: Noise | None) -> Noise:
+    checked.instance(motion, Motion, "virtual sensors: motion")
+    noise = Noise.none() if noise is None else noise
+    checked.instance(noise, Noise, "virtual sensors: noise")
+    return noise
+
+
 def recording(
     motion: Motion,
     sensors: tuple[str, ...] = places.SIX,
@@ -139,8 +146,9 @@ def recording(
     R_world_bone = R_y(heading) R_true tissue mounting; acc_world = R_y(heading) (second difference on
     the worn body + R_world_sensor bias + white). Sensors lost have valid False and NaN.
     """
-    noise = noise or Noise.none()
+    noise = _checked(motion, noise)
     rng = np.random.default_rng(rng)
+    sensors = checked.names(sensors, "virtual sensors: sensors", SensorError)
     joint, placement = places.joints_and_seats(sensors)
     d = draw(noise, rng, len(motion), len(sensors), motion.rate_hz, motion.skeleton)
     R_world_sensor, acc = _measure(motion, joint, placement, d, d.R_bone_sensor)
@@ -176,8 +184,9 @@ def raw_recording(
     gyr_t = Log(R_{t-1}^T R_t) rate, so that integrating it gives the orientation back; mag is a
     constant field. The reported R_world_sensor and mag carry the heading error, gyr and acc do not.
     """
-    noise = noise or Noise.none()
+    noise = _checked(motion, noise)
     rng = np.random.default_rng(rng)
+    sensors = checked.names(sensors, "virtual sensors: sensors", SensorError)
     joint, placement = places.joints_and_seats(sensors)
     T, S = len(motion), len(sensors)
     if T < 3:

@@ -135,7 +135,7 @@ WORDS: dict[str, Words] = {
     "zero-quaternions": "{count} quaternions are zero, read as missing",
     "not-upright": _not_upright,
     # Sensors and their places.
-    "unknown-places": "no place of the table: {names}; name them with a mapping",
+    "unknown-places": "no place of the table: {names}; --map NAME=PLACE,... says where each was worn",
     "torso-on-sternum": "the torso sensor is taken to sit on the sternum",
     "names-from": "sensors named by {file}",
     "files-left-out": "left out, no exports: {files}",

@@ -27,6 +27,7 @@ from poser.live.sources.protocol import Intake, Witness
 
 IDLE_S = 0.002  # the longest wait for something to happen, so that rows leave on time
 MOST_UNKNOWN = 3  # names of unknown devices that are kept: senders choose them, and never end
+GATHER_S = 1.0  # devices that start together show what their clocks are within this time
 SOON_S = 1e-6  # a sample this near its time is due: sleeping for less is no sleep
 
 
@@ -180,6 +181,7 @@ class Network:
         self._heard: set[str] = set()
         self._unknown: list[str] = []
         self.doubts: list[Finding] = []
+        self._doubted_s = np.inf  # since when a clock shows what was not told yet
         names = assembler.devices
         trunk = [where.get(n) in senders.TRUNK for n in names]
         self._watchman = senders.Watchman(names, trunk, self.rate_hz, up)
@@ -241,9 +243,18 @@ class Network:
             self._unknown.append(name)
 
     def _judge_times(self) -> None:
-        told = {(f.code, f.sensor) for f in self.doubts}
+        """What the devices' clocks show, GATHER_S after the first of them did: one sentence for all."""
         found = senders.clocks(self._assembler.paces, self._intake.rejected[TIME_TOO_LARGE])
-        self.doubts += [f for f in found if (f.code, f.sensor) not in told]
+        told = {(f.code, n) for f in self.doubts for n in f.details.get("sensors", ("",))}
+        found = [
+            f
+            for f in found
+            if any((f.code, n) not in told for n in f.details.get("sensors", ("",)))
+        ]
+        now = self._clock()
+        self._doubted_s = min(self._doubted_s, now) if found else np.inf
+        if now - self._doubted_s >= GATHER_S:
+            self.doubts += found
 
     def _judge(self, row: Row) -> None:
         """Raises CalibrationError where a pose is waited for that wrong accelerations would spoil."""

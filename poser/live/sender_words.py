@@ -6,9 +6,10 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from mocap.findings import Finding
+from poser.live.senders import UNITS
 
 _GOOD = "a = R_world_sensor f - (0, 9.80665, 0) of specific force f is expected"
-_PACES = ((1e3, "ms"), (1e6, "us"), (1e9, "ns"))
+_UNITS = dict(zip(UNITS, ("ms", "us", "ns"), strict=True))
 
 
 def sentence(finding: Finding) -> str:
@@ -17,21 +18,23 @@ def sentence(finding: Finding) -> str:
     if finding.code == "clock-too-large":
         return "times t are beyond 1e11: ms, us or ns since 1970? Seconds are expected"
     if finding.code == "clock-unit":
-        return f"sensor {finding.sensor}: {_clock(finding.value or 0.0)}"
+        return f"{_who(details)}: {_clock(finding.value or 0.0)}"
     if finding.code == "trunk-lies":
         # Inverse quaternions and another order can differ by constants alone, which a pose hides.
         causes = " or ".join(_WORDS[code](details) for code in details["readings"])
         return f"the wearer turned about, and by the orientations the trunk lay down: {causes}"
     words = _WORDS[finding.code]
-    who = "all sensors" if details["all"] else f"sensor {', '.join(details['sensors'])}"
-    return f"{who}: acceleration at rest is {finding.value:.1f} m/s^2, not 0: {words(details)}"
+    return f"{_who(details)}: acceleration at rest is {finding.value:.1f} m/s^2, not 0: {words(details)}"
+
+
+def _who(d: Mapping[str, Any]) -> str:
+    return "all sensors" if d["all"] else f"sensor {', '.join(d['sensors'])}"
 
 
 def _clock(pace: float) -> str:
     """Of a device's time that passes `pace` times as fast as ours."""
-    for factor, unit in _PACES:
-        if factor / 2 < pace < factor * 2:
-            return f"its time t is in {unit}, seconds are expected: divide by {factor:g}"
+    if pace in _UNITS:
+        return f"its time t is in {_UNITS[pace]}, seconds are expected: divide by {pace:g}"
     return (
         f"its time t runs {pace:.3g} times as fast as this computer's clock; seconds are expected"
     )

@@ -31,6 +31,7 @@ UPRIGHT_DEG = 20.0  # of the same trunk, read rightly
 LEAST_ROWS = 10  # of the 10 a second that are kept
 KEPT_S = 60.0
 PACE = 5.0  # times as fast as ours, or as slow: no drift, another unit
+UNITS = (1e3, 1e6, 1e9)  # ms, us and ns in a s
 TRUNK = frozenset(("pelvis", "head", "lower_back", "upper_back", "sternum"))
 _UP = np.array([0.0, 1.0, 0.0])
 _UNITS = {"m/s^2": ori.GRAVITY, "g": 1.0}
@@ -138,13 +139,24 @@ def _tilts(R: Array, R_rest: Array, up: Array, rows: NDArray[np.bool_]) -> list[
 
 
 def clocks(paces: Mapping[str, float | None], refused: int = 0) -> list[Finding]:
-    """What clocks say that run `pace` s in one of ours. refused: messages whose time was too large."""
+    """What clocks say that run `pace` s in one of ours, one finding for all that run alike.
+
+    refused: messages whose time was too large.
+    """
     found = [Finding("error", None, "clock-too-large", refused)] if refused >= LEAST_ROWS else []
+    alike: dict[float, list[str]] = {}
+    for name, pace in paces.items():
+        if pace is not None and not 1 / PACE < pace < PACE:
+            alike.setdefault(_unit(pace), []).append(name)
     return found + [
-        Finding("error", name, "clock-unit", pace)
-        for name, pace in paces.items()
-        if pace is not None and not 1 / PACE < pace < PACE
+        Finding("error", None, "clock-unit", pace, {"sensors": who, "all": len(who) == len(paces)})
+        for pace, who in alike.items()
     ]
+
+
+def _unit(pace: float) -> float:
+    """How many of its units of time make a second; of a pace that no unit explains its first two digits."""
+    return next((u for u in UNITS if u / 2 < pace < 2 * u), float(f"{pace:.1e}"))
 
 
 def _finding(

@@ -16,7 +16,7 @@ from hybrid import Tracker
 from hybrid.motion_filter import FilterNoise
 from hybrid.settings import TrackerSettings
 from learned.training.settings import TrainSettings
-from mocap import synthesis
+from mocap import calibration, synthesis
 from mocap.errors import PoserError
 from mocap.evaluation import metrics
 from mocap.motion import Motion
@@ -80,6 +80,53 @@ def test_entrances_name_what_they_were_given(value: Any) -> None:
     for name, call in calls.items():
         with pytest.raises(PoserError, match=name):
             call()
+
+
+@pytest.mark.parametrize(
+    "value", ["x", 1j, np.nan, [[1.0], [1.0, 2.0]], 10**400, torch.zeros(2, device="meta")]
+)
+def test_operations_name_what_they_were_given(value: Any) -> None:
+    motion = motions.builtin(seconds=1.0)
+    recording, raw = synthesis.recording(motion), synthesis.raw_recording(motion)
+    rest, body = np.zeros((1, 72)), motion.skeleton
+    calls: dict[str, Callable[[], Any]] = {
+        "poses": lambda: Motion.from_smpl(60.0, value, np.zeros((1, 3)), body),
+        "trans": lambda: Motion.from_smpl(60.0, rest, value, body),
+        "from_smpl: skeleton": lambda: Motion.from_smpl(60.0, rest, np.zeros((1, 3)), value),
+        "cutoff_hz": lambda: motion.lowpassed(value),
+        "Motion.turned: yaw": lambda: motion.turned(value),
+        "Recording.turned: yaw": lambda: recording.turned(value),
+        "renamed: mapping": lambda: raw.renamed(value),
+        "facing_rad": lambda: replace(raw, facing_rad=value),
+        "common_heading": lambda: replace(raw, common_heading=value),
+        "truth": lambda: replace(raw, truth=value),
+        "noise": lambda: replace(recording, noise=value),
+        "calibrate: raw": lambda: calibration.calibrate(value),
+        "calibrate: at": lambda: calibration.calibrate(raw, at=value),
+        "calibrate: facing": lambda: calibration.calibrate(raw, facing=value),
+        "virtual sensors: motion": lambda: synthesis.recording(value),
+        "virtual sensors: noise": lambda: synthesis.recording(motion, noise=value),
+    }
+    for name, call in calls.items():
+        with pytest.raises(PoserError, match=name):
+            call()
+
+
+@pytest.mark.parametrize("value", [None, 3, "head"])
+def test_sensors_are_several_names(value: Any) -> None:
+    motion = motions.builtin(seconds=1.0)
+    for call in (synthesis.recording(motion).select, lambda v: synthesis.recording(motion, v)):
+        with pytest.raises(PoserError, match="must be several names"):
+            call(value)
+
+
+def test_a_slice_from_the_end_keeps_its_time() -> None:
+    motion = motions.builtin(seconds=1.0)
+    recording, raw = synthesis.recording(motion), synthesis.raw_recording(motion)
+    for whole in (motion, recording, raw):
+        for start, stop in ((-10, len(whole)), (-10_000, 5), (len(whole) - 10, len(whole))):
+            first = max(0, start % len(whole) if start > -len(whole) else 0)
+            assert whole.slice(start, stop).start_s == pytest.approx(first / whole.rate_hz)
 
 
 def test_tensors_without_numbers() -> None:

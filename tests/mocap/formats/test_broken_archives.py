@@ -6,6 +6,7 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +14,12 @@ import pytest
 from scipy.io import savemat
 
 from mocap import orientation as ori
+from mocap import synthesis
 from mocap.errors import FormatError
 from mocap.formats import Document, Format, Options, native, qmt
+from mocap.formats import _npz as archives
 from mocap.recording import RawRecording, Recording
+from mocap.synthesis import motions
 from tests.mocap.formats import recording_files as files
 from tests.mocap.formats.broken import (
     DEG,
@@ -153,9 +157,49 @@ def test_zip_bomb(tmp_path: Path) -> None:
         zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as z,
         z.open("noise.npy", "w", force_zip64=True) as f,
     ):
-        for _ in range(150):
-            f.write(bytes(1 << 20))
-    must_fail(path, native.FORMAT, "array 'noise': 150 MiB packed in")
+        np.save(f, np.zeros(20 << 20, np.int8))
+    must_fail(path, native.FORMAT, "array 'noise': 160 MiB packed in")
+
+
+def test_a_directory_that_overstates_what_is_packed(tmp_path: Path) -> None:
+    """A zip's directory may say that a bomb takes more room than the whole file has."""
+    path = _REC(tmp_path)
+    with (
+        zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as z,
+        z.open("noise.npy", "w", force_zip64=True) as f,
+    ):
+        np.save(f, np.zeros(20 << 20, np.int8))
+    with zipfile.ZipFile(path) as z:
+        packed = z.getinfo("noise.npy").compress_size
+    data = path.read_bytes()
+    at = data.rindex(packed.to_bytes(4, "little"))
+    path.write_bytes(data[:at] + (1 << 30).to_bytes(4, "little") + data[at + 4 :])
+    with pytest.raises(FormatError):
+        native.FORMAT.read(path, Options())
+
+
+def test_a_declared_shape_of_many_digits(tmp_path: Path) -> None:
+    path = tmp_path / "m.npz"
+    header = f"{{'descr': '<f8', 'fortran_order': False, 'shape': ({'9' * 3000}, 3)}}\n".encode()
+    data = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header
+    with zipfile.ZipFile(path, "w") as z:
+        z.writestr("poses.npy", data)
+    with pytest.raises(FormatError, match=r"declares over 10\^18 bytes \(shape \(\.\.\., 3\)\)"):
+        archives.load(path, ("poses",))
+
+
+def test_one_sensor_that_never_delivers_makes_no_bomb(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Orientations alone: all accelerations are NaN and pack to nothing, beside rotations that do not."""
+    monkeypatch.setattr(archives, "BOMB_BYTES", 1 << 18)  # as if seconds were an hour
+    made = synthesis.recording(motions.walk(20.0))
+    bare = replace(made, acc_world=np.full_like(made.acc_world, np.nan))
+    native.write_recording(tmp_path / "r.npz", bare)
+    with zipfile.ZipFile(tmp_path / "r.npz") as z:
+        acc = z.getinfo("acc_world.npy")
+    assert acc.file_size > 50 * acc.compress_size
+    assert len(native.read_recording(tmp_path / "r.npz")) == len(made)
 
 
 def test_nan_bursts_are_gaps(tmp_path: Path) -> None:
