@@ -44,6 +44,10 @@ class Parser(argparse.ArgumentParser):
         near = difflib.get_close_matches(word.split("=")[0], options, 1)
         return f"; did you mean {near[0]}?" if near else ""
 
+    def print_help(self, file: Any = None) -> None:
+        """As argparse's, which says nothing where stdout cannot take it."""
+        print(self.format_help(), end="", file=file)
+
     def error(self, message: str) -> NoReturn:
         complain(f"{message} (see {self.prog} --help)", self.prog)
         raise SystemExit(WRONG_USAGE)

@@ -95,6 +95,15 @@ def test_stdout_holds_the_json_and_nothing_else(folder: Path, tmp_path: Path) ->
     assert json.loads(done.stdout)["frames"] == 180
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full on this system")
+@pytest.mark.parametrize("words", [["--help"], ["info", "--help"], ["--version"], ["formats"]])
+def test_a_full_disk_behind_stdout_is_said(words: list[str]) -> None:
+    line = [sys.executable, "-m", "poser", *words]
+    with Path("/dev/full").open("w") as full:
+        out = subprocess.run(line, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert out.returncode == 1 and "No space left" in out.stderr
+
+
 def test_a_reader_that_goes_away(folder: Path) -> None:
     line = f"{sys.executable} -m poser info {folder / 'walk.npz'} --json | true"
     done = subprocess.run(line, shell=True, capture_output=True, text=True, timeout=60)
