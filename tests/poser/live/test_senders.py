@@ -34,6 +34,7 @@ class Wire:
     """Datagrams at their times, decoded as the receiver does."""
 
     ended = False
+    read_s = np.inf  # nothing waits
 
     def __init__(self, sent: list[tuple[float, bytes]], up: str):
         self._sent, self.now = sent, 0.0
