@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,8 @@ from poser.live.addresses import LOCALHOST, Address
 from poser.viewer import stage
 
 RATE_HZ = 30.0
+FOLLOW_M = 0.5  # the body may walk so far from where cameras look before they go along
+EYES = np.array([0.0, 0.95, 0.0])
 REST = np.tile(np.eye(3), (24, 1, 1))
 
 
@@ -41,7 +44,8 @@ class ViewerSink:
         p[:, 1] += skeleton.sole - p[:, 1].min()
         self._figure.pose(REST, p)
         stage.floor(self._server)
-        stage.look_from(self._server, np.array([0.0, 0.95, 0.0]), 0.0)
+        self._centre = np.zeros(3)
+        stage.look_from(self._server, EYES, 0.0)
         self._text = self._server.gui.add_markdown("waiting for sensors")
         self._next_s = -np.inf
         self.shown = 0
@@ -54,7 +58,21 @@ class ViewerSink:
         R, p = self._skeleton.forward(pose.R_parent_joint, pose.p_world_root)
         with self._server.atomic():
             self._figure.pose(R, p)
+        self._follow(p[0])
         self.shown += 1
+
+    def _follow(self, place: np.ndarray) -> None:
+        """Take the cameras along, those of open pages as their users have turned them."""
+        away = (place - self._centre) * [1.0, 0.0, 1.0]
+        distance = float(np.linalg.norm(away))
+        if distance <= FOLLOW_M:
+            return
+        move = away * (1 - FOLLOW_M / distance)
+        self._centre = self._centre + move
+        stage.look_from(self._server, self._centre + EYES, 0.0)
+        for client in self._server.get_clients().values():
+            with suppress(AssertionError):  # a page that has not told yet where its camera is
+                client.camera.position = client.camera.position + move
 
     def tell(self, text: str) -> None:
         """A line in the page: how it goes."""

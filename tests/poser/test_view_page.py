@@ -199,5 +199,11 @@ def test_live_poses(shots: Path) -> None:
             matplotlib.image.imsave(shots / "live.png", picture)
             assert "latency 12.3 ms" in page.text()
             everything_is_local(page)
+            for metre in range(1, 13):  # out of the picture, if it stood still
+                sink._next_s = 0.0
+                sink.write(
+                    Pose(0.1 * metre, motion.R_parent_joint[0], np.array([-metre, 0.9, 0.0]))
+                )
+            page.until(lambda p: ink(p, stage.COLOURS[0]) > 0.004)
     finally:
-        assert sink.close() == {"url": "http://127.0.0.1:18090", "shown": 1}
+        assert sink.close() == {"url": "http://127.0.0.1:18090", "shown": 13}
