@@ -34,10 +34,10 @@ def _array(x: Any, shape: tuple[int, ...], what: str) -> Array:
     return x
 
 
-def _no_rotations(R: Array, valid: Bool, names: tuple[str, ...], what: str) -> Bool:
+def _no_rotations(R: Array, rotation: Bool, valid: Bool, names: tuple[str, ...], what: str) -> Bool:
     """(T,S): said to be valid, finite, no rotation. Raises ShapeError where these are most of a sensor's."""
     has = valid & np.isfinite(R).all((-1, -2))
-    bad: Bool = has & ~gate.is_rotation(R)
+    bad: Bool = has & ~rotation
     most = 2 * bad.sum(axis=0) > has.sum(axis=0)
     if most.any():
         s = int(most.argmax())
@@ -122,8 +122,9 @@ class RawRecording:
         if self.R_world_sensor is not None:
             R = _array(self.R_world_sensor, (T, S, 3, 3), "RawRecording: R_world_sensor")
             # Where nobody says that it is valid, it may not be read either: fusion and checks look at all.
-            bad = _no_rotations(R, valid, names, "RawRecording: R_world_sensor")
-            R[~gate.is_rotation(R)] = np.nan
+            rotation = gate.is_rotation(R)
+            bad = _no_rotations(R, rotation, valid, names, "RawRecording: R_world_sensor")
+            R[~rotation] = np.nan
             put(self, "R_world_sensor", R)
             put(self, "no_rotation", bad.sum(axis=0))
             valid &= ~bad
@@ -224,7 +225,7 @@ class Recording:
         valid = np.ones((T, S), bool)
         if self.valid is not None:
             valid = checked.truths(self.valid, (T, S), "Recording: valid")
-        bad = _no_rotations(R, valid, names, "Recording: R_world_bone")
+        bad = _no_rotations(R, gate.is_rotation(R), valid, names, "Recording: R_world_bone")
         put(self, "no_rotation", bad.sum(axis=0))
         R[bad], valid = np.nan, valid & ~bad
         has_R = np.isfinite(R).all((-1, -2))

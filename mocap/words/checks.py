@@ -11,13 +11,13 @@ from mocap.findings import Words
 
 Details = dict[str, Any]
 AXES = "xyz"
+UNITS = {"acc": "m/s^2", "gyr": "rad/s"}
 
 
 def _impossible(d: Details) -> str:
-    unit = "m/s^2" if d["what"] == "acc" else "rad/s"
     return (
         f"{d['count']} sample{'s' if d['count'] > 1 else ''} beyond what sensors can measure, taken for "
-        f"missing; the first at {d['first_s']:.2f} s: {d['what']} {d['value']:.4g} {unit}"
+        f"missing; the first at {d['first_s']:.2f} s: {d['what']} {d['value']:.4g} {UNITS[d['what']]}"
     )
 
 
@@ -29,10 +29,9 @@ def _no_data(d: Details) -> str:
 
 
 def _clipping(d: Details) -> str:
-    unit = "m/s^2" if d["what"] == "acc" else "rad/s"
     return (
-        f"{d['what']} stays at its limit of {d['limit']:.4g} {unit} for {d['samples']} samples: the "
-        f"sensor's range is too small for this motion"
+        f"{d['what']} stays at its limit of {d['limit']:.4g} {UNITS[d['what']]} for {d['samples']} samples: "
+        f"the sensor's range is too small for this motion"
     )
 
 

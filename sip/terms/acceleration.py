@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from mocap import orientation as ori
 from mocap.orientation import Array
 from sip.solvers.band import Band
-from sip.terms.base import Point, Term, add_pairs
+from sip.terms.base import CONSTANTS, Point, Term, add_constants, add_pairs
 
 
 class Acceleration(Term):
@@ -112,12 +112,9 @@ class Acceleration(Term):
         if G is None:
             return
         coupled = np.swapaxes(J, 2, 3) @ _spread(G * w2[..., None])  # (T,S,c,4)
-        border = band.border.reshape(*band.border.shape[:2], S, 7)
+        border = band.border.reshape(*band.border.shape[:2], S, CONSTANTS)
         border[..., 3:] += np.swapaxes(coupled, 1, 2)
-        corner = band.corner.reshape(S, 7, S, 7)
-        rows = (G * np.sqrt(w2)[..., None]).swapaxes(0, 1).reshape(S, 3 * M, 4)
-        each = np.arange(S)
-        corner[each, 3:, each, 3:] += rows.swapaxes(1, 2) @ rows
+        add_constants(band, G * np.sqrt(w2)[..., None], slice(3, None))
 
 
 def _spread(v: Array) -> Array:

@@ -166,9 +166,9 @@ def add_constants(band: Band, G: Array, constants: slice) -> None:
     """Add sum_i G_i^T G_i of whitened residuals' G (M,S,m,w) to what is of each sensor's own constants."""
     S = G.shape[1]
     corner = band.corner.reshape(S, CONSTANTS, S, CONSTANTS)
-    for k in range(S):
-        flat = G[:, k].reshape(-1, G.shape[-1])
-        corner[k, constants, k, constants] += flat.T @ flat
+    rows = G.swapaxes(0, 1).reshape(S, -1, G.shape[-1])
+    each = np.arange(S)
+    corner[each, constants, each, constants] += rows.swapaxes(1, 2) @ rows
 
 
 def add_pairs(band: Band, d: int, J: Array, weight: Array) -> None:

@@ -151,24 +151,25 @@ def test_a_spoiled_rotation_is_a_missing_sample(
     )
 
 
-def test_zip_bomb(tmp_path: Path) -> None:
-    path = _REC(tmp_path)
+def _bomb(folder: Path) -> Path:
+    """A recording whose archive holds 20 MiB of packed zeros, too."""
+    path = _REC(folder)
     with (
         zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as z,
         z.open("noise.npy", "w", force_zip64=True) as f,
     ):
         np.save(f, np.zeros(20 << 20, np.int8))
+    return path
+
+
+def test_zip_bomb(tmp_path: Path) -> None:
+    path = _bomb(tmp_path)
     must_fail(path, native.FORMAT, "array 'noise': 160 MiB packed in")
 
 
 def test_a_directory_that_overstates_what_is_packed(tmp_path: Path) -> None:
     """A zip's directory may say that a bomb takes more room than the whole file has."""
-    path = _REC(tmp_path)
-    with (
-        zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as z,
-        z.open("noise.npy", "w", force_zip64=True) as f,
-    ):
-        np.save(f, np.zeros(20 << 20, np.int8))
+    path = _bomb(tmp_path)
     with zipfile.ZipFile(path) as z:
         packed = z.getinfo("noise.npy").compress_size
     data = path.read_bytes()
